@@ -17,6 +17,7 @@ from anchorflow_client.contract import (
     CostMap,
     CostMapSpec,
     EncodedImage,
+    GoalTolerance,
     LimitsSpec,
     ModelCard,
     ModelId,
@@ -57,6 +58,7 @@ from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
 from anchorflow_client.resampling import ResampledAnchor, resample
 from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
+from anchorflow_client.ros_grid import RosGrid
 
 __all__ = [
     "STYLES",
@@ -78,6 +80,7 @@ __all__ = [
     "CostMapSpec",
     "DeadlineExceeded",
     "EncodedImage",
+    "GoalTolerance",
     "InternalError",
     "InvalidAnswer",
     "InvalidRequest",
@@ -100,6 +103,7 @@ __all__ = [
     "RequestError",
     "ResampledAnchor",
     "RetryingClient",
+    "RosGrid",
     "SamplerChoice",
     "Superseded",
     "TensorSpec",

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.checks import (
     array_of_bytes,
@@ -30,6 +30,7 @@ from anchorflow_client.contract.fields import (
     UNIT,
 )
 from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.ros_grid import RosGrid, Unknown, values_of
 
 MAP_SHAPE = "[C,H,W] or [B,C,H,W]"
 
@@ -77,6 +78,89 @@ class CostMap:
             return cls.build(**vars(value))
         known, required = COST_MAP.fields, COST_MAP.required_fields
         return cls.build(**fields_of(value, "cost_map", known, required))
+
+    @classmethod
+    def from_nav2(
+        cls,
+        costs: ArrayLike | RosGrid | Any,
+        resolution: float | None = None,
+        origin: ArrayLike | None = None,
+        *,
+        inscribed_is_obstacle: bool = False,
+        unknown: Unknown = "obstacle",
+        center: ArrayLike | None = None,
+        size_m: float | None = None,
+    ) -> CostMap:
+        """Convert Nav2's costs: 254 is an obstacle, 1 to 253 are soft costs, the risk.
+
+        Args:
+            costs: [H,W] from 0 to 255, row 0 at the lowest y; or a nav2_msgs/Costmap.
+            resolution: m/cell, with an array.
+            origin: [2] m, outer corner of cell (0, 0), with an array; None centres it on (0, 0).
+            inscribed_is_obstacle: take 253 as an obstacle too, for a robot of radius 0.
+            unknown: what 255 counts as: "obstacle", "free" or a soft cost in [0, 1].
+            center: [2] m, the middle of a square window, for grids of more than 512 cells a side.
+            size_m: side of that window in m; what lies beyond the grid is unknown.
+
+        Raises:
+            InvalidRequest: names the argument, what was expected and what came.
+        """
+        grid = _ros_grid(costs, resolution, origin, raw=True)
+        return cls._of_grid(
+            grid,
+            center,
+            size_m,
+            inscribed_is_obstacle=inscribed_is_obstacle,
+            unknown=unknown,
+        )
+
+    @classmethod
+    def from_occupancy_grid(
+        cls,
+        grid: ArrayLike | RosGrid | Any,
+        resolution: float | None = None,
+        origin: ArrayLike | None = None,
+        *,
+        inflated: bool = True,
+        inscribed_is_obstacle: bool = False,
+        unknown: Unknown = "obstacle",
+        center: ArrayLike | None = None,
+        size_m: float | None = None,
+    ) -> CostMap:
+        """Convert an OccupancyGrid, such as Nav2's `/global_costmap/costmap` or a map.
+
+        Args:
+            grid: a nav_msgs/OccupancyGrid, or its values [H,W] from -1 to 100.
+            inflated: True for a cost map, and for a map of free and occupied cells: 100 is an
+                obstacle, 1 to 99 are soft costs, the risk. False for probabilities, as SLAM
+                publishes them: from 65 on a cell is an obstacle, below that the risk is its share.
+            inscribed_is_obstacle: take 99 of a cost map as an obstacle, for a robot of radius 0.
+            unknown: what -1 counts as: "obstacle", "free" or a soft cost in [0, 1].
+            resolution, origin, center, size_m: as in `from_nav2`.
+
+        Raises:
+            InvalidRequest: names the argument, what was expected and what came.
+        """
+        return cls._of_grid(
+            _ros_grid(grid, resolution, origin, raw=False),
+            center,
+            size_m,
+            inflated=inflated,
+            inscribed_is_obstacle=inscribed_is_obstacle,
+            unknown=unknown,
+        )
+
+    @classmethod
+    def _of_grid(
+        cls, grid: RosGrid, center: ArrayLike | None, size_m: float | None, **meaning: Any
+    ) -> CostMap:
+        if (center is None) != (size_m is None):
+            raise InvalidRequest(
+                "expected both center and size_m of a window, or neither", "size_m"
+            )
+        if center is not None and size_m is not None:
+            grid = grid.crop(center, size_m)
+        return cls.build(grid.layers(**meaning), grid.resolution, grid.origin)
 
     @property
     def occupancy(self) -> NDArray[np.float32]:
@@ -155,3 +239,18 @@ def _weights(weights: Any, channels: int) -> NDArray[np.float64] | None:
     if factors.shape != (channels - 1,):
         raise wrong_shape(field, shape, factors)
     return frozen(factors)
+
+
+def _ros_grid(grid: Any, resolution: Any, origin: Any, *, raw: bool) -> RosGrid:
+    """Read a message, or an array beside its resolution and origin."""
+    if isinstance(grid, RosGrid) or hasattr(grid, "info") or hasattr(grid, "metadata"):
+        if resolution is not None or origin is not None:
+            raise InvalidRequest("expected none, as the grid has its own", "resolution")
+        grid = grid if isinstance(grid, RosGrid) else RosGrid.of(grid)
+        if (grid.values.dtype == np.uint8) != raw:
+            names = ("an OccupancyGrid", "a nav2_msgs/Costmap")
+            raise InvalidRequest(f"expected {names[raw]}, got {names[not raw]}", "grid")
+        return grid
+    values = values_of(grid, raw=raw)
+    cell = number(resolution, "resolution", RESOLUTION)
+    return RosGrid(values=values, resolution=cell, origin=_corner(origin, values.shape, cell))
