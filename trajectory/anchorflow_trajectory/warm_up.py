@@ -19,6 +19,7 @@ from anchorflow_trajectory.finish.certificate import are_safe
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.integrate import drawn
+from anchorflow_trajectory.routes.reachable import connected
 from anchorflow_trajectory.scene import Scene
 
 logger = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ def compile_loops() -> None:
         motion=MotionLimits(v_max=2.0, a_max=3.0),
     )
     drawn(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
+    connected(scene.occupied, 0)
     routes = scene.route_splines
     Refiner(scene, steps=1).refine(scene.route_states, np.arange(len(routes)), _Everything())
     pair = routes[np.zeros(2, np.intp)]

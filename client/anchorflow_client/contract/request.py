@@ -261,7 +261,18 @@ def _check_places(request: AnchorRequest) -> None:
             if (came := occupancy[scene, row, column]) >= OCCUPIED and not allowed:
                 message = f"expected a cell of occupancy below {OCCUPIED}, got {position}"
                 cell = f"in cell [row {row}, column {column}] of occupancy {came:.2g}"
-                raise InvalidRequest(f"{message} {cell}", name)
+                nearest = _nearest_free(cost_map, occupancy[scene], x, y)
+                raise InvalidRequest(f"{message} {cell}; {nearest}", name)
+
+
+def _nearest_free(cost_map: CostMap, occupancy: NDArray[np.float32], x: float, y: float) -> str:
+    """Say where the nearest free cell is to a point in m."""
+    rows, columns = np.nonzero(occupancy < OCCUPIED)
+    if not len(rows):
+        return "no cell of the map is free"
+    centres = cost_map.origin + cost_map.resolution * (np.stack([columns, rows], -1) + 0.5)
+    nearest = np.hypot(*(centres - (x, y)).T).argmin()
+    return "the nearest free one is at ({:g}, {:g}) m".format(*centres[nearest].round(6))
 
 
 _READERS: dict[str, Callable[[Any], Any]] = {

@@ -15,9 +15,13 @@ from anchorflow_client.contract import (
     ResolvedRequest,
 )
 from anchorflow_client.contract.batch import NEAR
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.routes.dijkstra import cell_index
+from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
+from anchorflow_trajectory.routes.search import SLACK
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
@@ -44,16 +48,42 @@ class CostMapConditioning:
         yield from unknown_names("graphs.encode.inputs", encode.input_names, SCENE_INPUTS)
 
     def scenes(self, request: ResolvedRequest) -> list[MapScene]:
-        """Return the scenes of a request, near the origin of their own frame."""
+        """Return the scenes of a request, near the origin of their own frame.
+
+        Raises:
+            InvalidRequest: a goal is occupied, and no place within its tolerance can be reached.
+        """
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
-        return [MapScene(near, self._scene(near, b), reference) for b in range(request.num_scenes)]
+        scenes = [self._scene(near, index) for index in range(request.num_scenes)]
+        if (tolerance := request.goal_tolerance) is not None:
+            for index, scene in enumerate(scenes):
+                moved = _within_tolerance(scene, tolerance.position)
+                if moved is None:
+                    place = "({:g}, {:g}) m".format(*request.x_goal[index, :2])
+                    raise InvalidRequest(
+                        f"expected a goal within {tolerance.position:g} m of a place that can be "
+                        f"reached, got {place} of scene {index}",
+                        "x_goal",
+                    )
+                scenes[index] = moved
+        return [MapScene(near, scene, reference) for scene in scenes]
 
     def _scene(self, request: ResolvedRequest, index: int) -> Scene:
         """Return a scene of a request, on a map of at least the model's channels."""
         cost_map, limits = request.cost_map, _limits(request)
+        layers = with_neutral_channels(cost_map.data[index], self._entry.channels)
+        if request.clear_start:
+            under = cells_under(
+                request.x_curr[index, :2],
+                limits.robot_radius,
+                resolution=cost_map.resolution,
+                origin=cost_map.origin,
+                shape=layers.shape[1:],
+            )
+            layers[0, under] = 0.0
         return Scene(
-            cost_map=with_neutral_channels(cost_map.data[index], self._entry.channels),
+            cost_map=layers,
             resolution=cost_map.resolution,
             origin=cost_map.origin,
             robot_radius=limits.robot_radius,
@@ -120,6 +150,31 @@ def _basis_of(manifest: Manifest) -> SplineBasis:
     if not isinstance(entry, SplineEntry):
         return spline_basis(steps)
     return spline_basis(steps, num_control_points=entry.num_control_points, degree=entry.degree)
+
+
+def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
+    """Return the scene with the nearest goal that can be reached; None if it has none.
+
+    A free goal that cannot be reached stays if nothing near it can be: no anchor will be safe.
+    """
+    goal, clearance = scene.x_goal[:2], scene.clearance_field
+    is_free = scene.is_free(goal)
+    cell = cell_index(goal, scene.origin, scene.resolution, clearance.shape)
+    if is_free and clearance.flat[cell] >= 0.0 and scene.routes:
+        return scene
+    for slack in (SLACK + scene.certified_margin, SLACK):
+        place = nearest_reachable(
+            clearance,
+            resolution=scene.resolution,
+            origin=scene.origin,
+            start=scene.x_curr[:2],
+            goal=goal,
+            within=tolerance,
+            slack=slack,
+        )
+        if place is not None:
+            return replace(scene, x_goal=np.concatenate([place, scene.x_goal[2:]]))
+    return scene if is_free else None
 
 
 def _weights(cost_map: CostMap, channels: int) -> NDArray[np.float32] | None:
