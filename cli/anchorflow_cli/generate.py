@@ -163,10 +163,8 @@ def generate(
 def empty_map(start: Vector, goal: Vector, *, size_m: float | None) -> RosMap:
     """A free square of EMPTY_MAP_CELLS a side with its centre between both ends."""
     size_m = float(np.linalg.norm(goal - start)) + 2 * MARGIN_M if size_m is None else size_m
-    free = np.zeros((EMPTY_MAP_CELLS, EMPTY_MAP_CELLS), np.float32)
     return RosMap(
-        occupancy=free,
-        unknown=free > 0,
+        values=np.zeros((EMPTY_MAP_CELLS, EMPTY_MAP_CELLS), np.int8),
         resolution=size_m / EMPTY_MAP_CELLS,
         origin=(start + goal) / 2 - size_m / 2,
         unknown_occupancy=0.0,

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,18 +29,38 @@ Unknown: TypeAlias = Literal["obstacle", "free"] | float
 
 INFLATED, INSCRIBED, LETHAL, UNKNOWN = 252, 253, 254, 255
 """Nav2's costs: the highest of inflation, and the three special ones."""
+Grid = TypeVar("Grid", bound="RosGrid")
 OCCUPIED_PERCENT = 65
 """Probability from which on map_server and map_saver take a cell as occupied."""
 MAX_YAW = 1e-9
 """rad, of a map that counts as not turned: what savers write as 0 may be -3e-17."""
-_PUBLISHED_INSCRIBED, _PUBLISHED_LETHAL = 99, 100
+INSCRIBED_PERCENT, LETHAL_PERCENT = 99, 100
+"""What the special costs are in an OccupancyGrid."""
+
+
+class Cells(Protocol):
+    """The values of a grid: an array, or what reads them window by window."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """(H, W)."""
+        ...
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """int8 or uint8."""
+        ...
+
+    def __getitem__(self, window: tuple[slice, slice], /) -> NDArray[Any]:
+        """Return the values of some rows and columns."""
+        ...
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RosGrid:
     """A grid in the frame of its map; rows grow with y, columns with x."""
 
-    values: NDArray[np.int8] | NDArray[np.uint8]
+    values: Cells
     """[H,W]: int8 are percent or -1, as in an OccupancyGrid; uint8 are Nav2's costs."""
     resolution: float
     """m/cell."""
@@ -99,13 +119,13 @@ class RosGrid:
             raise InvalidRequest(
                 f"expected an area of this grid of {columns} by {rows} cells, got {area}", "update"
             )
-        values = self.values.copy()
+        values = self.values[:, :].copy()
         values[row : row + height, column : column + width] = values_of(
             update.data, raw=is_raw, shape=(height, width)
         )
         return replace(self, values=values, stamp=self.stamp if stamp is None else stamp)
 
-    def crop(self, center: ArrayLike, size_m: float) -> RosGrid:
+    def crop(self: Grid, center: ArrayLike, size_m: float) -> Grid:
         """Cut a square window round `center` [2] (m), `size_m` wide, rounded up to whole cells.
 
         Cells beyond the grid are unknown.
@@ -133,11 +153,11 @@ class RosGrid:
         table = np.ones((3, 256), np.float32)
         table[0], table[2] = np.isinf(soft), np.where(np.isfinite(soft), soft, 0.0)
         if inscribed_is_obstacle and (is_raw or inflated):
-            inscribed = INSCRIBED if is_raw else _PUBLISHED_INSCRIBED
+            inscribed = INSCRIBED if is_raw else INSCRIBED_PERCENT
             table[0, inscribed], table[2, inscribed] = 1.0, 0.0
         table[0, UNKNOWN] = unknown == "obstacle"  # -1 in int8 is 255 in uint8
         table[2, UNKNOWN] = 0.0 if isinstance(unknown, str) else unknown
-        return table[:, self.values.view(np.uint8)]
+        return table[:, self.values[:, :].view(np.uint8)]
 
 
 def values_of(data: Any, *, raw: bool, shape: tuple[int, int] | None = None) -> NDArray[Any]:
@@ -156,7 +176,7 @@ def values_of(data: Any, *, raw: bool, shape: tuple[int, int] | None = None) -> 
             cells = f"{shape[0]} rows of {shape[1]} cells"
             raise InvalidRequest(f"expected {cells}, got {values.size} cells", "data")
         values = values.reshape(shape)
-    low, high = (0, UNKNOWN) if raw else (-1, _PUBLISHED_LETHAL)
+    low, high = (0, UNKNOWN) if raw else (-1, LETHAL_PERCENT)
     if values.size and not low <= values.min() <= values.max() <= high:
         outside = (values < low) | (values > high)
         raise first_refused(values, outside, "data", f"numbers from {low} to {high}")
@@ -175,9 +195,9 @@ def _costs() -> NDArray[np.float64]:
 def _published_costs() -> NDArray[np.float64]:
     """Return the soft cost of each value of a published cost map, infinite for an obstacle."""
     soft = np.zeros(256)
-    published = np.arange(1, _PUBLISHED_INSCRIBED)
+    published = np.arange(1, INSCRIBED_PERCENT)
     soft[published] = (1 + (published - 1) * (INFLATED - 1) / (len(published) - 1)) / INSCRIBED
-    soft[_PUBLISHED_INSCRIBED], soft[_PUBLISHED_LETHAL] = 1.0, np.inf
+    soft[INSCRIBED_PERCENT], soft[LETHAL_PERCENT] = 1.0, np.inf
     return soft
 
 
@@ -206,7 +226,7 @@ def _corner(position: ArrayLike, orientation: Any) -> NDArray[np.float64]:
     return corner
 
 
-def _window(values: NDArray[Any], row: int, column: int, cells: int) -> NDArray[Any]:
+def _window(values: Cells, row: int, column: int, cells: int) -> NDArray[Any]:
     """Return [cells,cells] from (row, column) on; what lies outside the grid is unknown."""
     window = np.full((cells, cells), UNKNOWN, np.uint8).view(values.dtype)
     height, width = values.shape

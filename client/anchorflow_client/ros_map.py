@@ -5,7 +5,8 @@
     client.plan(cost_map=seen.occupancy, resolution=seen.resolution, origin=seen.origin, ...)
 
 A picture's top row has the largest y; the rows of a `RosMap` grow with y, as in an OccupancyGrid.
-The modes follow nav2's map_server
+A picture is read when its cells are needed: of a .pgm in bytes the window alone, of a .png all of
+it, once. The modes follow nav2's map_server
 (https://github.com/ros-navigation/navigation2/tree/main/nav2_map_server), except that a pixel that
 is not opaque is unknown in every mode. Needs PyYAML and Pillow, which the client does not install.
 """
@@ -13,15 +14,17 @@ is not opaque is unknown in every mode. Needs PyYAML and Pillow, which the clien
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, PngImagePlugin
 
 from anchorflow_client.contract.fields import (
     COORDINATE,
@@ -30,6 +33,7 @@ from anchorflow_client.contract.fields import (
     RESOLUTION,
 )
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_client.ros_grid import LETHAL_PERCENT, MAX_YAW, UNKNOWN, RosGrid
 
 
 class RosMapError(AnchorFlowError):
@@ -44,42 +48,41 @@ MARGIN_M = 3.0
 """Room for a detour beyond start and goal, on each side."""
 
 
-@dataclass(frozen=True)
-class RosMap:
-    """An occupancy grid in the map frame."""
+MAX_PIXELS = 2**29
+"""Of a picture that has to be decoded as a whole: 2 GB with four bytes a pixel."""
 
-    occupancy: NDArray[np.float32]  # [H, W] in [0, 1]; row 0 has the smallest y
-    unknown: NDArray[np.bool_]  # [H, W]; their occupancy is unknown_occupancy
-    resolution: float  # m/cell
-    origin: NDArray[np.float64]  # [2] m, the outer corner of cell (0, 0)
-    unknown_occupancy: float  # 1 where unknown space counts as occupied, 0 where it counts as free
+Grey = NDArray[np.float64]
 
-    def crop(self, center: NDArray[np.float64], size_m: float) -> RosMap:
-        """Cut a square window round `center` [2] (m), `size_m` wide, rounded up to whole cells.
 
-        Cells beyond the map are unknown.
-        """
-        cells = math.ceil(size_m / self.resolution - 1e-9)  # 6.4 / 0.05 is 128
-        corner = (np.asarray(center) - self.origin) / self.resolution - cells / 2
-        column, row = (int(index) for index in np.rint(corner))
-        return RosMap(
-            occupancy=_window(self.occupancy, row, column, cells, fill=self.unknown_occupancy),
-            unknown=_window(self.unknown, row, column, cells, fill=True),
-            resolution=self.resolution,
-            origin=self.origin + self.resolution * np.array([column, row]),
-            unknown_occupancy=self.unknown_occupancy,
-        )
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RosMap(RosGrid):
+    """An occupancy grid in the map frame; `values` may be read when they are needed."""
+
+    unknown_occupancy: float = 1.0
+    """1 where unknown space counts as occupied, 0 where it counts as free."""
+
+    @cached_property
+    def occupancy(self) -> NDArray[np.float32]:
+        """[H, W] in [0, 1]: 1 for an obstacle, below 0.5 in proportion to the cost of the rest."""
+        table = np.arange(256, dtype=np.float32) / (2 * LETHAL_PERCENT)
+        table[LETHAL_PERCENT], table[UNKNOWN] = 1.0, self.unknown_occupancy
+        return table[self.values[:, :].view(np.uint8)]
+
+    @cached_property
+    def unknown(self) -> NDArray[np.bool_]:
+        """[H, W]; their occupancy is `unknown_occupancy`."""
+        return self.values[:, :] < 0
 
 
 def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
-    """Read a map_server YAML file and its .pgm or .png picture.
+    """Read a map_server YAML file and the size of its .pgm or .png picture.
 
     Raises `RosMapError` if a file is missing or no map, or a field is missing or out of range.
     """
     path = Path(path)
     fields = _Fields(path, _read_yaml(path))
     image = path.parent / fields.text("image")
-    mode = fields.choice("mode", tuple(_OCCUPANCY_OF_MODE), default="trinary")
+    mode = fields.choice("mode", tuple(_PERCENT_OF_MODE), default="trinary")
     thresholds = _Thresholds(
         free=fields.number("free_thresh", low=0, high=1),
         occupied=fields.number("occupied_thresh", low=0, high=1),
@@ -88,18 +91,15 @@ def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
         raise fields.error("free_thresh", "less than occupied_thresh", thresholds.free)
     negate = fields.choice("negate", (0, 1), default=0)
 
-    shade, opaque = _read_shade(image)
-    if mode != "raw" and not negate:
-        shade = 1 - shade  # dark is occupied
-    occupancy = np.where(opaque, _OCCUPANCY_OF_MODE[mode](shade, thresholds), np.nan)[::-1]
-    unknown = np.isnan(occupancy)
-    unknown_occupancy = 0.0 if unknown_is_free else 1.0
+    def percent(shade: Grey) -> Grey:
+        dark_is_occupied = mode != "raw" and not negate
+        return _PERCENT_OF_MODE[mode](1 - shade if dark_is_occupied else shade, thresholds)
+
     return RosMap(
-        occupancy=np.where(unknown, unknown_occupancy, occupancy).astype(np.float32),
-        unknown=unknown,
+        values=_PictureCells(image, percent),
         resolution=fields.number("resolution", low=RESOLUTION.low, high=RESOLUTION.high),
         origin=_origin(fields),
-        unknown_occupancy=unknown_occupancy,
+        unknown_occupancy=0.0 if unknown_is_free else 1.0,
     )
 
 
@@ -142,25 +142,25 @@ class _Thresholds:
     occupied: float
 
 
-def _trinary(darkness: NDArray[np.float64], thresholds: _Thresholds) -> NDArray[np.float64]:
-    """Return 0 for free, 1 for occupied, NaN (unknown) between the thresholds."""
-    between = np.where(darkness < thresholds.free, 0.0, np.nan)
-    return np.where(darkness > thresholds.occupied, 1.0, between)
+def _trinary(darkness: Grey, thresholds: _Thresholds) -> Grey:
+    """Return 0 for free, 100 for occupied, -1 (unknown) between the thresholds."""
+    between = np.where(darkness <= thresholds.free, 0.0, -1.0)
+    return np.where(darkness >= thresholds.occupied, 100.0, between)
 
 
-def _scale(darkness: NDArray[np.float64], thresholds: _Thresholds) -> NDArray[np.float64]:
-    """Return occupancy linear between the thresholds."""
+def _scale(darkness: Grey, thresholds: _Thresholds) -> Grey:
+    """Return percent, linear between the thresholds."""
     span = thresholds.occupied - thresholds.free
-    return np.clip((darkness - thresholds.free) / span, 0.0, 1.0)
+    return np.rint(np.clip((darkness - thresholds.free) / span, 0.0, 1.0) * 100)
 
 
-def _raw(shade: NDArray[np.float64], _: _Thresholds) -> NDArray[np.float64]:
-    """Return the pixel value as percent; above 100 it is NaN (unknown)."""
+def _raw(shade: Grey, _: _Thresholds) -> Grey:
+    """Return the pixel value as percent; above 100 it is -1 (unknown)."""
     percent = np.rint(255 * shade)
-    return np.where(percent <= 100, percent / 100, np.nan)
+    return np.where(percent <= 100, percent, -1.0)
 
 
-_OCCUPANCY_OF_MODE: dict[str, Callable[[NDArray[np.float64], _Thresholds], NDArray[np.float64]]] = {
+_PERCENT_OF_MODE: dict[str, Callable[[Grey, _Thresholds], Grey]] = {
     "trinary": _trinary,
     "scale": _scale,
     "raw": _raw,
@@ -190,10 +190,25 @@ class _Fields:
         return float(value)
 
     def choice(self, name: str, choices: tuple[Any, ...], *, default: Any) -> Any:
-        value = self.values.get(name, default)
+        came = self.values.get(name, default)
+        value = came.lower() if isinstance(came, str) else came
+        value = _FLAGS.get(value, value) if choices == (0, 1) else value
         if value not in choices:
-            raise self.error(name, f"one of {', '.join(map(str, choices))}", value)
+            raise self.error(name, f"one of {', '.join(map(str, choices))}", came)
         return value
+
+
+_FLAGS = dict.fromkeys(("true", "yes", "on"), 1) | dict.fromkeys(("false", "no", "off"), 0)
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE | re.ASCII)
+
+
+def _scalar(value: Any) -> Any:
+    """Return the number that a text of YAML is for yaml-cpp, which knows `5e-2`; else the text."""
+    if isinstance(value, list):
+        return [_scalar(each) for each in value]
+    if not isinstance(value, str) or not _NUMBER.fullmatch(value):
+        return value
+    return int(value) if value.lstrip("+-").isdigit() else float(value)
 
 
 def _is_number(value: object) -> TypeGuard[float]:
@@ -206,7 +221,7 @@ def _origin(fields: _Fields) -> NDArray[np.float64]:
     origin = fields.values.get("origin")
     if not isinstance(origin, list) or len(origin) != 3 or not all(map(_is_number, origin)):
         raise fields.error("origin", "three numbers x, y, yaw", origin)
-    if origin[2] != 0:
+    if not abs(math.remainder(origin[2], math.tau)) <= MAX_YAW:
         raise fields.error("origin", "a yaw of 0 (turned maps are not supported)", origin[2])
     if not all(map(COORDINATE.holds, origin)):
         raise fields.error("origin", f"numbers {COORDINATE}", origin)
@@ -215,34 +230,109 @@ def _origin(fields: _Fields) -> NDArray[np.float64]:
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        values = yaml.load(path.read_text(encoding="utf-8"), yaml.BaseLoader)  # texts alone
     except (OSError, ValueError, yaml.YAMLError) as error:
         said = " ".join(str(error).split())
         raise RosMapError(f"{path}: expected a map_server YAML file: {said}") from error
     if not isinstance(values, dict):
         raise RosMapError(f"{path}: expected a map_server YAML file with named fields")
-    return values
+    return {name: _scalar(value) for name, value in values.items()}
 
 
-def _read_shade(path: Path) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the mean colour [H, W] in [0, 1], top row first, and whether each pixel is opaque."""
-    try:
-        with Image.open(path) as image:
-            if image.mode.startswith("I"):  # 16 bits a pixel
-                shade = np.asarray(image, dtype=np.float64) / 65535
-                return shade, np.ones(shade.shape, dtype=np.bool_)
-            channels = np.asarray(image.convert("RGBA"), dtype=np.float64) / 255
-    # Pillow raises the first three for a damaged file.
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise RosMapError(f"{path}: image: expected a .pgm or .png picture: {error}") from error
-    return channels[..., :3].mean(axis=-1), channels[..., 3] == 1
+class _Pgm(NamedTuple):
+    """Where the pixels of a .pgm in bytes are."""
+
+    shape: tuple[int, int]
+    brightest: int
+    offset: int
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return np.dtype(np.uint8 if self.brightest < 256 else ">u2")
 
 
-def _window(grid: NDArray[Any], row: int, column: int, cells: int, *, fill: Any) -> NDArray[Any]:
-    """Return `cells` × `cells` of `grid` from (row, column), `fill` outside the grid."""
-    window = np.full((cells, cells), fill, dtype=grid.dtype)
-    height, width = grid.shape
-    bottom, top = np.clip([row, row + cells], 0, height)
-    left, right = np.clip([column, column + cells], 0, width)
-    window[bottom - row : top - row, left - column : right - column] = grid[bottom:top, left:right]
-    return window
+_PGM_HEAD = re.compile(rb"P5" + 3 * rb"(?:\s+(?:#[^\n\r]*[\n\r]\s*)*)(\d{1,9})" + rb"\s")
+
+
+class _PictureCells:
+    """The cells [H, W] of a picture, row 0 at its bottom, in percent or -1; a slice reads them."""
+
+    dtype = np.dtype(np.int8)
+
+    def __init__(self, path: Path, percent: Callable[[Grey], Grey]) -> None:
+        self._path, self._percent = path, percent
+        try:
+            self._pgm = _pgm_of(path)
+            if self._pgm is not None:
+                self.shape = self._pgm.shape
+            else:
+                with _opened(path) as image:
+                    self.shape = (image.height, image.width)
+        except _UNREADABLE as error:
+            raise self._damaged(error) from error
+
+    def __getitem__(self, window: tuple[slice, slice]) -> NDArray[np.int8]:
+        """Return the cells of a window: its rows and its columns, each one after the other."""
+        (bottom, top, _), (left, right, _) = (
+            part.indices(size) for part, size in zip(window, self.shape, strict=True)
+        )
+        height = self.shape[0]
+        try:
+            shade, opaque = self._shade(height - top, height - bottom, left, right)
+        except _UNREADABLE as error:
+            raise self._damaged(error) from error
+        return np.where(opaque, self._percent(shade), -1)[::-1].astype(np.int8)
+
+    def _shade(
+        self, top: int, bottom: int, left: int, right: int
+    ) -> tuple[Grey, NDArray[np.bool_] | bool]:
+        """Return the mean colour [h, w] in [0, 1], top row first, and whether pixels are opaque."""
+        if (pgm := self._pgm) is not None:
+            pixels = np.memmap(self._path, pgm.dtype, "r", pgm.offset, pgm.shape)
+            return pixels[top:bottom, left:right] / float(pgm.brightest), True
+        part = self._image.crop((left, top, right, bottom))
+        if part.mode.startswith("I"):  # 16 bits a pixel
+            return np.asarray(part, dtype=np.float64) / 65535, True
+        channels = np.asarray(part.convert("RGBA"), dtype=np.float64) / 255
+        return channels[..., :3].mean(axis=-1), channels[..., 3] == 1
+
+    @cached_property
+    def _image(self) -> Image.Image:
+        with _opened(self._path) as image:
+            image.load()
+        return image
+
+    def _damaged(self, error: Exception) -> RosMapError:
+        return RosMapError(f"{self._path}: image: expected a .pgm or .png picture: {error}")
+
+
+# Pillow raises the first three for a damaged file.
+_UNREADABLE = (OSError, ValueError, SyntaxError, Image.DecompressionBombError)
+
+
+def _pgm_of(path: Path) -> _Pgm | None:
+    """Return where the pixels are, or None if the file is no .pgm in bytes."""
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if not head.startswith(b"P5"):
+        return None
+    if (found := _PGM_HEAD.match(head)) is None:
+        raise ValueError("its head has no width, height and greatest value")
+    width, height, brightest = map(int, found.groups())
+    if not (width and height and 0 < brightest < 65536):
+        raise ValueError(f"{width} x {height} pixels of at most {brightest}")
+    pgm = _Pgm((height, width), brightest, found.end())
+    if path.stat().st_size < pgm.offset + width * height * pgm.dtype.itemsize:
+        raise ValueError(f"it ends before its {width} x {height} pixels do")
+    return pgm
+
+
+def _opened(path: Path) -> Image.Image:
+    """Open a picture; a large .png too, which `Image.open` takes for an attack."""
+    with path.open("rb") as file:
+        is_png = file.read(8) == b"\x89PNG\r\n\x1a\n"
+    image = PngImagePlugin.PngImageFile(path) if is_png else Image.open(path)
+    if image.width * image.height > MAX_PIXELS:
+        image.close()
+        raise ValueError(f"expected at most {MAX_PIXELS} pixels, or a .pgm, which may have more")
+    return image

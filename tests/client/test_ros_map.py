@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import yaml
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
+from anchorflow_client import CostMap
 from anchorflow_client.ros_map import (
     MARGIN_M,
     RosMap,
@@ -74,14 +77,15 @@ def test_scale_is_linear_between_the_thresholds(write_map: Callable[..., Path]) 
     pixels = np.array([[255, 204, 153, 102, 0]], dtype=np.uint8)  # darkness 0, .2, .4, .6, 1
     path = write_map(pixels, mode="scale", free_thresh=0.2, occupied_thresh=0.6)
 
-    assert_allclose(load_ros_map(path).occupancy, [[0, 0, 0.5, 1, 1]], atol=1e-6)
+    assert_array_equal(load_ros_map(path).values[:, :], [[0, 0, 50, 100, 100]])
+    assert_allclose(load_ros_map(path).occupancy, [[0, 0, 0.25, 1, 1]], atol=1e-6)
 
 
 def test_raw_is_percent_and_unknown_above_100(write_map: Callable[..., Path]) -> None:
     pixels = np.array([[0, 25, 100, 101, 255]], dtype=np.uint8)
     ros_map = load_ros_map(write_map(pixels, mode="raw", negate=1))
 
-    assert_allclose(ros_map.occupancy, [[0, 0.25, 1, 1, 1]], atol=1e-6)
+    assert_allclose(ros_map.occupancy, [[0, 0.125, 1, 1, 1]], atol=1e-6)
     assert_array_equal(ros_map.unknown, [[False, False, False, True, True]])
 
 
@@ -148,10 +152,6 @@ def test_what_is_no_map_is_named(tmp_path: Path, write_map: Callable[..., Path])
     with pytest.raises(RosMapError, match=r"map\.yaml: expected .* YAML file: while parsing .*$"):
         load_ros_map(path)
 
-    path.write_text("image: 2026-02-31\n")
-    with pytest.raises(RosMapError, match=r"map\.yaml: expected .* YAML file: day is out of range"):
-        load_ros_map(path)
-
     path.write_text("- a list")
     with pytest.raises(RosMapError, match=r"map\.yaml: expected .* named fields"):
         load_ros_map(path)
@@ -165,9 +165,10 @@ def test_what_is_no_map_is_named(tmp_path: Path, write_map: Callable[..., Path])
         b"P5\n3 2\n99999\n" + PIXELS.tobytes(),
         b"P5\n12345678901 2\n255\n" + PIXELS.tobytes(),
         b"P5\n50000 50000\n255\n" + PIXELS.tobytes(),
+        b"P5\n3 2\n0\n" + PIXELS.tobytes(),
         b"P5\n3 2\n255\n" + PIXELS.tobytes()[:-1],
     ],
-    ids=["cut off", "no number", "too bright", "too long", "too large", "too short"],
+    ids=["cut off", "no number", "too bright", "too long", "too large", "no grey", "too short"],
 )
 def test_a_damaged_picture_is_named(write_map: Callable[..., Path], content: bytes) -> None:
     path = write_map()
@@ -178,14 +179,8 @@ def test_a_damaged_picture_is_named(write_map: Callable[..., Path], content: byt
 
 def checkerboard() -> RosMap:
     """6 × 8 cells of 0.5 m, its corner at (-1, 2)."""
-    occupancy = (np.indices((6, 8)).sum(axis=0) % 2).astype(np.float32)
-    return RosMap(
-        occupancy=occupancy,
-        unknown=np.zeros((6, 8), dtype=np.bool_),
-        resolution=0.5,
-        origin=np.array([-1.0, 2.0]),
-        unknown_occupancy=1.0,
-    )
+    values = (100 * (np.indices((6, 8)).sum(axis=0) % 2)).astype(np.int8)
+    return RosMap(values=values, resolution=0.5, origin=np.array([-1.0, 2.0]))
 
 
 def test_a_window_inside_keeps_every_cell_in_its_place() -> None:
@@ -209,6 +204,123 @@ def test_a_window_off_the_map_is_all_unknown() -> None:
     assert checkerboard().crop(np.array([40.0, -40.0]), 2.0).unknown.all()
 
 
+def three_kinds() -> np.ndarray[Any, Any]:
+    """20 × 20 pixels: white, a black square, and three rows of 205 at the top."""
+    pixels = np.full((20, 20), 255, np.uint8)
+    pixels[5:10, 5:10], pixels[:3] = 0, 205
+    return pixels
+
+
+@pytest.mark.parametrize("negate", [0, 1])
+def test_the_thresholds_belong_to_what_they_bound(
+    write_map: Callable[..., Path], negate: int
+) -> None:
+    """Case M1: some savers write thresholds of 1 and 0."""
+    pixels = three_kinds() ^ (255 if negate else 0)
+    path = write_map(pixels, occupied_thresh=1.0, free_thresh=0.0, negate=negate)
+
+    values = load_ros_map(path).values[:, :]
+    assert [(values == kind).sum() for kind in (100, 0, -1)] == [25, 400 - 25 - 60, 60]
+
+
+@pytest.mark.parametrize("yaw", [-3.06e-17, 6.283185307179586, -6.283185307179586, 9e-10])
+def test_a_yaw_that_is_rounding_is_0(write_map: Callable[..., Path], yaw: float) -> None:
+    """Case M3."""
+    assert load_ros_map(write_map(origin=[-10, -10, yaw])).origin.tolist() == [-10, -10]
+
+
+@pytest.mark.parametrize("number", ["5e-2", '"0.05"', "+.05", "5.E-2", "0.05  # m"])
+def test_numbers_are_read_as_yaml_cpp_reads_them(
+    write_map: Callable[..., Path], number: str
+) -> None:
+    """Cases M4 and M6."""
+    path = write_map()
+    text = path.read_text().replace("resolution: 0.5", f"resolution: {number}")
+    path.write_text(
+        text.replace("- -1.0\n- 2.0", "- 1e+03\n- -50").replace("negate: 0", 'negate: "0"')
+    )
+
+    ros_map = load_ros_map(path)
+    assert ros_map.resolution == 0.05
+    assert ros_map.origin.tolist() == [1000.0, -50.0]
+
+
+@pytest.mark.parametrize("mode", ["Trinary", "SCALE", "rAW"])
+def test_a_mode_may_have_any_case(write_map: Callable[..., Path], mode: str) -> None:
+    """Case M7."""
+    same = load_ros_map(write_map(three_kinds(), mode=mode.lower())).values[:, :]
+    assert_array_equal(load_ros_map(write_map(three_kinds(), mode=mode)).values[:, :], same)
+
+
+def test_what_is_between_the_thresholds_is_dear_and_no_obstacle(
+    write_map: Callable[..., Path],
+) -> None:
+    """Case M12: grey of half the scale, of which 100 of 100 alone is an obstacle."""
+    pixels = np.full((20, 20), 127, np.uint8)
+    pixels[:5] = 0
+    path = write_map(pixels, mode="scale", occupied_thresh=0.9, free_thresh=0.1)
+
+    ros_map = load_ros_map(path)
+    assert (ros_map.occupancy >= 0.5).sum() == 100
+    assert_array_equal(ros_map.values[:15, :], 50)
+    cost_map = CostMap.from_occupancy_grid(ros_map)
+    assert cost_map.occupancy.sum() == 100
+    assert_allclose(cost_map.data[2, 0], 0.5, atol=0.01)
+
+
+LARGE = {"large.pgm": (10_000, 10_000), "large.png": (6_499, 10_327)}
+
+
+@pytest.fixture(scope="module", params=LARGE)
+def large_map(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map of 205 with one free row and one occupied column at (row 40, column 30)."""
+    name, folder = request.param, tmp_path_factory.mktemp("large")
+    height, width = LARGE[name]
+    if name.endswith(".pgm"):
+        pixels = np.full((height, width), 205, np.uint8)
+    else:
+        pixels = np.full((height, width, 2), [205, 255], np.uint8)
+    pixels[height - 1 - 40, :] = np.array([254, 255][: pixels.ndim - 1] or 254)
+    pixels[:, 30] = np.array([0, 255][: pixels.ndim - 1] or 0)
+    Image.fromarray(pixels).save(folder / name)
+    path = folder / "map.yaml"
+    path.write_text(
+        yaml.safe_dump(FIELDS | {"image": name, "resolution": 0.05, "origin": [0, 0, 0]})
+    )
+    return path
+
+
+WINDOW_OF = """
+import resource, sys, time
+import numpy as np
+from anchorflow_client.ros_map import load_ros_map, map_window
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+begun = time.process_time()
+start, goal = np.array([1.0, 1.0]), np.array([2.0, 2.0])
+seen = map_window(load_ros_map(sys.argv[1]), start, goal, size_m=20.0)
+spent = time.process_time() - begun
+print(spent, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e6)
+print((seen.values == 100).sum(), (seen.values == 0).sum(), (seen.values == -1).sum())
+"""
+
+
+def test_a_window_of_a_large_map_costs_little(large_map: Path) -> None:
+    """Case M13: under a second and half a gigabyte."""
+    run = subprocess.run(
+        [sys.executable, "-c", WINDOW_OF, str(large_map)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    costs, counts = run.stdout.splitlines()
+    seconds, gigabytes = map(float, costs.split())
+    # The window reaches from -8.5 to 11.5 m; 170 rows and columns of it lie beyond the map.
+    assert counts == f"230 229 {400 * 400 - 230 - 229}"
+    assert seconds < 1.0
+    assert gigabytes < 0.5
+
+
 def test_depot(shared_data: Callable[[str], Path]) -> None:
     ros_map = load_ros_map(shared_data("maps/depot.yaml"))
 
@@ -220,13 +332,8 @@ def test_depot(shared_data: Callable[[str], Path]) -> None:
 def empty_map(*, resolution: float) -> RosMap:
     """60 × 60 m, its corner at the origin."""
     cells = round(60 / resolution)
-    return RosMap(
-        occupancy=np.zeros((cells, cells), dtype=np.float32),
-        unknown=np.zeros((cells, cells), dtype=np.bool_),
-        resolution=resolution,
-        origin=np.zeros(2),
-        unknown_occupancy=1.0,
-    )
+    values = np.zeros((cells, cells), np.int8)
+    return RosMap(values=values, resolution=resolution, origin=np.zeros(2))
 
 
 def test_the_window_holds_both_ends_and_the_margin() -> None:

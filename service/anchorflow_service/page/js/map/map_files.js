@@ -13,10 +13,14 @@ const [PNG_HEAD, WIDTH_AT, HEIGHT_AT] = [24, 16, 20];
 /** For a picture without a YAML file, as `map_saver` writes them. */
 const DEFAULTS = { resolution: 0.05, origin: [0, 0], negate: 0, occupied_thresh: 0.65, free_thresh: 0.25, mode: "trinary" };
 const MODES = ["trinary", "scale", "raw"];
+/** Percent of an obstacle; what is below it is dear, and free on this page. */
+const LETHAL = 100;
 /** m, as in the contract. */
 const MAX_COORDINATE = 1e7;
-/** Numbers and words of YAML 1.1. */
-const NUMBER = /^[-+]?(\d+|(\d+\.\d*|\.\d+)(e[-+]\d+)?)$/i;
+/** rad, of a map that counts as not turned: what savers write as 0 may be -3e-17. */
+const MAX_YAW = 1e-9;
+/** Numbers as yaml-cpp reads them, and words of YAML 1.1. */
+const NUMBER = /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i;
 const WORDS = { true: true, yes: true, on: true, false: false, no: false, off: false, null: null, "~": null, "": null };
 
 /** {grid, note} of the files [File] of one map. Throws an Error for the user. */
@@ -48,6 +52,7 @@ export function readYaml(text, name) {
   };
   const isNumber = (value) => typeof value === "number";
   const isWithin = (key, low, high) => isNumber(fields[key]) && fields[key] >= low && fields[key] <= high;
+  if (typeof fields.mode === "string") fields.mode = fields.mode.toLowerCase();
   const { image, mode, negate, origin } = fields;
   require(typeof image === "string", "image", "a file name");
   require(MODES.includes(mode), "mode", `one of ${MODES.join(", ")}`);
@@ -56,7 +61,7 @@ export function readYaml(text, name) {
   require([0, 1, false, true].includes(negate), "negate", "one of 0, 1");
   require(isWithin("resolution", 1e-6, 100), "resolution", "a number from 1e-06 to 100");
   require(Array.isArray(origin) && origin.length === 3 && origin.every(isNumber), "origin", "three numbers x, y, yaw");
-  require(origin[2] === 0, "origin", "a yaw of 0 (turned maps are not supported)", origin[2]);
+  require(Math.abs(origin[2] - 2 * Math.PI * Math.round(origin[2] / (2 * Math.PI))) <= MAX_YAW, "origin", "a yaw of 0 (turned maps are not supported)", origin[2]);
   require(origin.every((value) => Math.abs(value) <= MAX_COORDINATE), "origin", "numbers in [-1e+07, 1e+07] m");
   return { ...fields, origin: origin.slice(0, 2) };
 }
@@ -81,9 +86,10 @@ function valueOf(text) {
 
 function scalar(text) {
   const word = text.trim();
-  if (NUMBER.test(word)) return Number(word);
+  const plain = word.replace(/^(["'])(.*)\1$/, "$2");
+  if (NUMBER.test(plain)) return Number(plain);
   const known = WORDS[word.toLowerCase()];
-  return known === undefined ? word.replace(/^(["'])(.*)\1$/, "$2") : known;
+  return known === undefined ? plain : known;
 }
 
 function checkSize(width, height, name) {
@@ -159,13 +165,12 @@ function cellOf(shade, { mode, negate, occupied_thresh: occupied, free_thresh: f
   if (mode === "raw") {
     const percent = Math.round(255 * shade);
     if (percent > 100) return UNKNOWN;
-    return percent >= 50 ? OCCUPIED : FREE;
+    return percent === LETHAL ? OCCUPIED : FREE;
   }
   const darkness = negate ? shade : 1 - shade;
-  // In the contract an occupancy of 0.5 is an obstacle.
-  if (mode === "scale") return (darkness - free) / (occupied - free) >= 0.5 ? OCCUPIED : FREE;
-  if (darkness > occupied) return OCCUPIED;
-  return darkness < free ? FREE : UNKNOWN;
+  if (mode === "scale") return Math.round((100 * (darkness - free)) / (occupied - free)) >= LETHAL ? OCCUPIED : FREE;
+  if (darkness >= occupied) return OCCUPIED;
+  return darkness <= free ? FREE : UNKNOWN;
 }
 
 /** The grid without the unknown margin that mapping programs leave. */
