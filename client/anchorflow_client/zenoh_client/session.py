@@ -235,7 +235,13 @@ def why_alone(config: zenoh.Config) -> AnchorFlowError:
 def _failure(config: zenoh.Config, error: zenoh.ZError) -> AnchorFlowError:
     if "connect" in str(error).lower() or _value(config, "mode") == "client":
         return why_alone(config)
-    return ZenohConfigError(_message(error))
+    message = _message(error)
+    if "in use" in message:
+        message += (
+            "; another program listens there, such as a ROS 2 router (rmw_zenohd): connect to it "
+            "as a client, or listen on another port"
+        )
+    return ZenohConfigError(message)
 
 
 def _read(path: Path) -> zenoh.Config:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -122,6 +123,18 @@ def test_an_endpoint_that_has_or_needs_no_port_is_taken(endpoint: str) -> None:
 def test_a_host_that_cannot_be_a_name_is_named(host: str) -> None:
     with pytest.raises(ConnectionFailed, match=f"nobody listens at tcp/{host}:7447: .*label"):
         open_session(ZenohSettings(connect=(f"tcp/{host}:7447",)))
+
+
+@pytest.mark.parametrize("mode", ["peer", "router"])
+def test_a_port_that_another_router_has_is_named(mode: str) -> None:
+    """Case V3: a ROS 2 router listens on zenoh's port, too."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(ZenohConfigError) as caught:
+            open_session(ZenohSettings(mode=mode, listen=(endpoint,)))
+
+    assert endpoint in str(caught.value)
+    assert "another program listens there, such as a ROS 2 router (rmw_zenohd)" in str(caught.value)
 
 
 def test_an_address_of_another_machine_cannot_be_listened_on() -> None:

@@ -127,6 +127,18 @@ def test_a_scene_has_every_channel_with_its_weight(tiny: Bundle, small_request: 
     assert scene.scene.cost_penalty == 0.0
 
 
+def test_a_scene_holds_no_denormal_numbers(tiny: Bundle, small_request: Build) -> None:
+    """Case V2: a map of 1e-40, with which a request took 1.3 times as long."""
+    data = np.full((3, 16, 16), 1e-40, np.float32)
+    data[0, 3, 3], data[2, 5, 5] = 1.0, 1e-5
+
+    (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), tiny)
+
+    layers = scene.scene.cost_map
+    assert (layers[0, 3, 3], layers[2, 5, 5]) == (1.0, np.float32(1e-5))
+    assert np.count_nonzero(layers) == 2
+
+
 def test_weights_are_filled_up_like_channels(tiny: Bundle, small_request: Build) -> None:
     cost_map = {"data": np.zeros((2, 16, 16)), "resolution": 0.5, "channel_weights": [0.5]}
 

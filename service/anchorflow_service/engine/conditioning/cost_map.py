@@ -29,6 +29,8 @@ REACH = 2.0
 """Way of the probe from start to goal, in s at v_max."""
 MARGIN = 2.0
 """Side of the probe's map, in such ways."""
+TINY = 1e-6
+"""What is less counts as 0: arithmetic on denormal numbers, below 1e-38, is slow."""
 DIGITS = 8
 """Decimal digits kept of a position in m that is far from zero."""
 
@@ -73,6 +75,7 @@ class CostMapConditioning:
         """Return a scene of a request, on a map of at least the model's channels."""
         cost_map, limits = request.cost_map, _limits(request)
         layers = with_neutral_channels(cost_map.data[index], self._entry.channels)
+        layers *= layers >= TINY
         if request.clear_start:
             under = cells_under(
                 request.x_curr[index, :2],
