@@ -95,6 +95,15 @@ test("a large map loses no obstacle", async () => {
   assert.deepEqual([...grid.cells.keys()].filter((k) => grid.cells[k] === OCCUPIED), [at]);
 });
 
+test("a map of 100 million pixels is read", async () => {
+  const pixels = Buffer.alloc(10_000 * 10_000, 254);
+  pixels[9_999 * 10_000 + 5_000] = 0;
+  const { grid } = await readMap([file("large.pgm", "P5\n10000 10000\n255\n", pixels)]);
+
+  assert.ok(Math.max(grid.rows, grid.columns) <= 160);
+  assert.deepEqual([...grid.cells.keys()].filter((k) => grid.cells[k] === OCCUPIED), [Math.floor(5_000 / 63)]);
+});
+
 const pngHead = (width, height) => {
   const head = Buffer.from("89504e470d0a1a0a0000000d494844520000000000000000", "hex");
   head.writeUInt32BE(width, 16);
@@ -108,11 +117,11 @@ for (const [files, message] of [
   [{ "a.pgm": "P6\n1 1\n255\n..." }, "a.pgm: expected a PGM picture"],
   [{ "a.pgm": "P5\n100 100\n255\nshort" }, "a.pgm: expected 100 × 100 pixels, but the file ends before"],
   [{ "a.pgm": "P2\n2 2\n255\n1 2 3" }, "a.pgm: expected 2 × 2 numbers"],
-  [{ "a.pgm": "P2\n100000 100000\n255\n0" }, "a.pgm: expected at most 16 million pixels, got 100000 × 100000."],
+  [{ "a.pgm": "P2\n100000 100000\n255\n0" }, "a.pgm: expected at most 128 million pixels, got 100000 × 100000."],
   [{ "a.pgm": `P2\n4 4\n100\n${"50 ".repeat(16)}` }, "a.pgm: every cell of this map is unknown."],
   [{ "a.png": "no picture" }, "a.png: expected a PNG picture"],
-  [{ "a.png": pngHead(4001, 4000) }, "a.png: expected at most 16 million pixels, got 4001 × 4000."],
-  [{ "a.png": pngHead(20000, 4000) }, "a.png: expected at most 16 million pixels, got 20000 × 4000."],
+  [{ "a.png": pngHead(16001, 8000) }, "a.png: expected at most 128 million pixels, got 16001 × 8000."],
+  [{ "a.png": pngHead(200000, 4000) }, "a.png: expected at most 128 million pixels, got 200000 × 4000."],
   [
     { "map.yaml": "# a map\n--- {image: a.pgm,\nresolution: 0.1}\n", "a.pgm": "P2" },
     "map.yaml: expected a line for each field; a flow mapping, {…}, is not read here.",

@@ -5,8 +5,10 @@ import { FREE, Grid, OCCUPIED, UNKNOWN } from "./grid.js";
 /** On a larger map several cells become one, which is occupied if one of them is. */
 const MAX_CELLS = 160;
 const MIN_CELLS = 16;
-/** A larger picture would cost time and memory for a map that is made coarser anyway. */
-const MAX_PIXELS = 16e6;
+/** A larger picture would cost gigabytes for a map that is made coarser anyway. */
+const MAX_PIXELS = 128e6;
+/** Rows of a PNG that are converted at a time. */
+const STRIP = 256;
 const PNG_SIGNATURE = [0x89, 0x50, 0x4e, 0x47, 0x0d, 0x0a, 0x1a, 0x0a];
 /** Bytes of a PNG up to the end of its width and height, and where these are. */
 const [PNG_HEAD, WIDTH_AT, HEIGHT_AT] = [24, 16, 20];
@@ -30,8 +32,8 @@ export async function readMap(files) {
   const wanted = fields.image?.split("/").at(-1);
   const picture = files.find(({ name }) => (yaml ? name === wanted : /\.(pgm|png)$/i.test(name)));
   if (!picture) throw new Error(`${yaml.name} names the picture ${fields.image}: choose both files together.`);
-  const shades = /\.pgm$/i.test(picture.name) ? readPgm(new Uint8Array(await picture.arrayBuffer()), picture.name) : await readPng(picture);
-  const grid = coarser(trimmed(toGrid(shades, fields), picture.name));
+  const greys = /\.pgm$/i.test(picture.name) ? readPgm(new Uint8Array(await picture.arrayBuffer()), picture.name) : await readPng(picture);
+  const grid = reduced(toGrid(greys, fields), picture.name);
   const [width, height] = grid.size.map((metres) => metres.toFixed(1));
   const guess = yaml ? "" : `, taking ${DEFAULTS.resolution} m a pixel for want of a .yaml file`;
   return { grid, note: `${picture.name}: ${width} × ${height} m, ${grid.resolution.toFixed(2)} m a cell${guess}.` };
@@ -97,7 +99,7 @@ function checkSize(width, height, name) {
 }
 
 /**
- * {width, height, shade: [H*W] in [0, 1]} of a PGM, P2 (text) or P5 (bytes), 8 or 16 bits a pixel, top row
+ * {width, height, grey: [H*W], white} of a PGM, P2 (text) or P5 (bytes), 8 or 16 bits a pixel, top row
  * first. Throws an Error that names the file.
  */
 export function readPgm(bytes, name) {
@@ -116,22 +118,23 @@ export function readPgm(bytes, name) {
   };
   const kind = word();
   if (kind !== "P5" && kind !== "P2") throw wrong("a PGM picture that begins with P5 or P2");
-  const [width, height, most] = [word(), word(), word()].map(Number);
+  const [width, height, white] = [word(), word(), word()].map(Number);
   const isSize = (value) => Number.isInteger(value) && value > 0;
-  if (!isSize(width) || !isSize(height) || !(most > 0 && most < 65536)) throw wrong("width, height and greatest value");
+  if (!isSize(width) || !isSize(height) || !(white > 0 && white < 65536)) throw wrong("width, height and greatest value");
   checkSize(width, height, name);
-  const size = most < 256 ? 1 : 2;
+  const size = white < 256 ? 1 : 2;
   if (kind === "P5" && bytes.length - at < width * height * size) throw wrong(`${width} × ${height} pixels, but the file ends before`);
-  const pixel = () => {
-    if (kind === "P2") return Number(word() || NaN);
-    return size === 1 ? bytes[at++] : 256 * bytes[at++] + bytes[at++];
-  };
-  const shade = Float32Array.from({ length: width * height }, () => pixel() / most);
-  if (shade.some(Number.isNaN)) throw wrong(`${width} × ${height} numbers`);
-  return { width, height, shade };
+  if (kind === "P5" && size === 1) return { width, height, white, grey: bytes.subarray(at, at + width * height) };
+  const grey = new Uint16Array(width * height);
+  for (let k = 0; k < grey.length; k++) {
+    const value = kind === "P5" ? 256 * bytes[at++] + bytes[at++] : Number(word() || NaN);
+    if (!(value >= 0 && value < 65536)) throw wrong(`${width} × ${height} numbers`);
+    grey[k] = value;
+  }
+  return { width, height, white, grey };
 }
 
-/** {width, height, shade: [H*W] in [0, 1], opaque: [H*W]} of a PNG, top row first. */
+/** {width, height, grey: [H*W], white, transparent} of a PNG, top row first. */
 async function readPng(file) {
   const wrong = (cause) => new Error(`${file.name}: expected a PNG picture.`, { cause });
   const head = new Uint8Array(await file.slice(0, PNG_HEAD).arrayBuffer());
@@ -142,21 +145,31 @@ async function readPng(file) {
     throw wrong(cause);
   });
   const { width, height } = bitmap;
-  const context = new OffscreenCanvas(width, height).getContext("2d");
-  context.drawImage(bitmap, 0, 0);
-  const { data } = context.getImageData(0, 0, width, height);
-  const pixels = (value) => Float32Array.from({ length: width * height }, (_, k) => value(4 * k));
-  return { width, height, shade: pixels((k) => (data[k] + data[k + 1] + data[k + 2]) / 765), opaque: pixels((k) => data[k + 3] === 255) };
+  const [white, transparent] = [3 * 255, 3 * 255 + 1];
+  const grey = new Uint16Array(width * height);
+  const context = new OffscreenCanvas(width, Math.min(height, STRIP)).getContext("2d", { willReadFrequently: true });
+  for (let top = 0; top < height; top += STRIP) {
+    const rows = Math.min(STRIP, height - top);
+    context.clearRect(0, 0, width, rows);
+    context.drawImage(bitmap, 0, -top);
+    const { data } = context.getImageData(0, 0, width, rows);
+    for (let k = 0; k < width * rows; k++) {
+      const [red, green, blue, opacity] = [data[4 * k], data[4 * k + 1], data[4 * k + 2], data[4 * k + 3]];
+      grey[top * width + k] = opacity === 255 ? red + green + blue : transparent;
+    }
+  }
+  bitmap.close();
+  return { width, height, white, transparent, grey };
 }
 
-/** A grid of what map_server reads in the shades; its first row is the last of the picture. */
-function toGrid({ width, height, shade, opaque }, fields) {
+/** A grid of what map_server reads in the grey levels; its first row is the last of the picture. */
+function toGrid({ width, height, grey, white, transparent }, fields) {
   const grid = new Grid(height, width, fields.resolution, [...fields.origin]);
+  const table = Uint8Array.from({ length: 256 ** grey.BYTES_PER_ELEMENT }, (_, level) => cellOf(level / white, fields));
+  if (transparent) table[transparent] = UNKNOWN;
   for (let row = 0; row < height; row++) {
-    for (let column = 0; column < width; column++) {
-      const k = (height - 1 - row) * width + column;
-      grid.set(row, column, opaque && !opaque[k] ? UNKNOWN : cellOf(shade[k], fields));
-    }
+    const above = (height - 1 - row) * width;
+    for (let column = 0; column < width; column++) grid.cells[row * width + column] = table[grey[above + column]];
   }
   return grid;
 }
@@ -173,48 +186,45 @@ function cellOf(shade, { mode, negate, occupied_thresh: occupied, free_thresh: f
   return darkness <= free ? FREE : UNKNOWN;
 }
 
-/** The grid without the unknown margin that mapping programs leave. */
-function trimmed(grid, name) {
-  const [rows, columns] = [[Infinity, -1], [Infinity, -1]];
-  const widen = (range, value) => {
-    range[0] = Math.min(range[0], value);
-    range[1] = Math.max(range[1], value);
-  };
-  grid.cells.forEach((cell, k) => {
-    if (cell === UNKNOWN) return;
-    widen(rows, Math.floor(k / grid.columns));
-    widen(columns, k % grid.columns);
-  });
-  if (rows[1] < 0) throw new Error(`${name}: every cell of this map is unknown.`);
-  const span = ([low, high], count) => {
+/** The grid without the unknown margin that mapping programs leave, of at most MAX_CELLS a side. */
+function reduced(grid, name) {
+  const { rows, columns, cells } = grid;
+  let [bottom, top, left, right] = [rows, -1, columns, -1];
+  for (let row = 0; row < rows; row++) {
+    const [begin, end] = [row * columns, (row + 1) * columns];
+    let [first, last] = [begin, end - 1];
+    while (first < end && cells[first] === UNKNOWN) first++;
+    if (first === end) continue;
+    while (cells[last] === UNKNOWN) last--;
+    [bottom, top] = [Math.min(bottom, row), row];
+    [left, right] = [Math.min(left, first - begin), Math.max(right, last - begin)];
+  }
+  if (top < 0) throw new Error(`${name}: every cell of this map is unknown.`);
+  const span = (low, high, count) => {
     const [from, to] = [Math.max(0, low - 2), Math.min(count, high + 3)];
     return [from, Math.max(to - from, MIN_CELLS)];
   };
-  const [top, height] = span(rows, grid.rows);
-  const [left, width] = span(columns, grid.columns);
-  return resampled(grid, { top, left, height, width, factor: 1 });
-}
-
-function coarser(grid) {
-  const factor = Math.ceil(Math.max(grid.rows, grid.columns) / MAX_CELLS);
-  const side = (cells) => Math.max(MIN_CELLS, Math.ceil(cells / factor));
-  return resampled(grid, { top: 0, left: 0, height: side(grid.rows), width: side(grid.columns), factor });
-}
-
-/** A window of `height` × `width` cells, each the worst of factor × factor cells. */
-function resampled(grid, { top, left, height, width, factor }) {
-  const origin = [grid.origin[0] + left * grid.resolution, grid.origin[1] + top * grid.resolution];
-  const window = new Grid(height, width, factor * grid.resolution, origin);
-  for (let row = 0; row < height; row++) {
-    for (let column = 0; column < width; column++) {
-      let worst = FREE;
-      for (let k = 0; k < factor * factor; k++) {
-        const [r, c] = [top + row * factor + Math.floor(k / factor), left + column * factor + (k % factor)];
-        const cell = grid.contains(r, c) ? grid.at(r, c) : UNKNOWN;
-        if (cell === OCCUPIED || (cell === UNKNOWN && worst === FREE)) worst = cell;
-      }
-      window.set(row, column, worst);
-    }
+  const [row, height] = span(bottom, top, rows);
+  const [column, width] = span(left, right, columns);
+  const factor = Math.ceil(Math.max(height, width) / MAX_CELLS);
+  const side = (count) => Math.max(MIN_CELLS, Math.ceil(count / factor));
+  const origin = [grid.origin[0] + column * grid.resolution, grid.origin[1] + row * grid.resolution];
+  const window = new Grid(side(height), side(width), factor * grid.resolution, origin);
+  for (let r = 0; r < window.rows; r++) {
+    for (let c = 0; c < window.columns; c++) window.set(r, c, worst(grid, row + r * factor, column + c * factor, factor));
   }
   return window;
+}
+
+/** The worst of size × size cells: occupied, then unknown, as all cells beyond the grid are. */
+function worst({ rows, columns, cells }, top, left, size) {
+  let found = top + size > rows || left + size > columns ? UNKNOWN : FREE;
+  for (let row = top; row < Math.min(top + size, rows); row++) {
+    for (let column = left; column < Math.min(left + size, columns); column++) {
+      const cell = cells[row * columns + column];
+      if (cell === OCCUPIED) return OCCUPIED;
+      if (cell === UNKNOWN) found = UNKNOWN;
+    }
+  }
+  return found;
 }
