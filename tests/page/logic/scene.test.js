@@ -73,7 +73,7 @@ test("a request has the values of the card, and a planner without a map only its
   const { safety_margin, smooth, project, guidance, barrier, certified_margin } = mapCard.finish;
   const options = fields.defaults(mapCard);
   assert.deepEqual(fields.toRequest(options, mapCard), {
-    num_samples: 64, seed: 0, robot_radius: 0.25, v_max: 2, a_max: 3,
+    num_samples: 64, seed: 0, robot_radius: 0.25, v_max: 2, a_max: 3, cost_penalty: 3, clear_start: false,
     refine: { smooth, project, safety_margin, guidance, barrier, certified_margin },
   });
   const solver = { "sampler.method": "heun", "sampler.schedule.uniform": 3 };
