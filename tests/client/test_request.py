@@ -249,7 +249,7 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
         ("goal_tolerance", 0.5, ["an object", "0.5"]),
         ("goal_tolerance.position", -1, ["[0, 100] m", "-1"]),
         ("goal_tolerance.position", None, ["required"]),
-        ("goal_tolerance.heading", 4, ["[0, 3.14159] rad", "4"]),
+        ("goal_tolerance", {"position": 1, "heading": 4}, ["[0, 3.14159] rad", "4"]),
         ("cost_map.data", np.zeros((65, 1, 16, 16)).tolist(), ["B from 1 to 64", "65"]),
         ("cost_map.data", np.full((1, 16, 20), 1.5).tolist(), ["[0, 1]", "1.5"]),
         ("cost_map.data", np.zeros((1, 1, 1, 16, 20)).tolist(), ["deeper"]),

@@ -134,7 +134,7 @@ def test_a_turn_that_is_rounding_is_none(turn: float) -> None:
     [
         ({"turn": 0.1}, "origin: expected a grid that is not turned"),
         ({"data": [0] * 319}, "data: expected 20 rows of 16 cells, got 319 cells"),
-        ({"data": [0] * 319 + [101]}, "data: expected numbers from -1 to 100, got 101"),
+        ({"data": [0] * 319 + [101]}, "expected numbers from -1 to 100, got 101 at data[19][15]"),
         ({"data": [0.5] * 320}, "data: expected whole numbers, got an array of float64"),
     ],
 )

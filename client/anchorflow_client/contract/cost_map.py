@@ -238,7 +238,7 @@ def _weights(weights: Any, channels: int) -> NDArray[np.float64] | None:
     factors = numbers(weights, field, CHANNEL_WEIGHT, shape)
     if factors.shape != (channels - 1,):
         raise wrong_shape(field, shape, factors)
-    return frozen(factors)
+    return frozen(factors) if factors.size else None
 
 
 def _ros_grid(grid: Any, resolution: Any, origin: Any, *, raw: bool) -> RosGrid:
