@@ -34,6 +34,7 @@ from anchorflow_client.contract import (
     VocabularySpec,
     WarmStart,
 )
+from anchorflow_client.contract.ros_grid import RosGrid
 from anchorflow_client.errors import (
     AnchorFlowError,
     Cancelled,
@@ -58,7 +59,6 @@ from anchorflow_client.oip_codec import OipCodec
 from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
 from anchorflow_client.resampling import ResampledAnchor, resample
 from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
-from anchorflow_client.ros_grid import RosGrid
 
 __all__ = [
     "STYLES",

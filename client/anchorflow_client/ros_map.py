@@ -32,8 +32,8 @@ from anchorflow_client.contract.fields import (
     MIN_MAP_CELLS,
     RESOLUTION,
 )
+from anchorflow_client.contract.ros_grid import LETHAL_PERCENT, MAX_YAW, UNKNOWN, RosGrid
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_client.ros_grid import LETHAL_PERCENT, MAX_YAW, UNKNOWN, RosGrid
 
 
 class RosMapError(AnchorFlowError):

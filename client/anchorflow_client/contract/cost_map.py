@@ -29,8 +29,8 @@ from anchorflow_client.contract.fields import (
     RESOLUTION,
     UNIT,
 )
+from anchorflow_client.contract.ros_grid import RosGrid, Unknown, values_of
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.ros_grid import RosGrid, Unknown, values_of
 
 MAP_SHAPE = "[C,H,W] or [B,C,H,W]"
 
