@@ -165,21 +165,6 @@ def test_anchors_of_another_shape_are_refused() -> None:
         tiny_wote().set_anchors(torch.zeros(12, 8, 2))
 
 
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"heads": 3}, "width: expected a multiple of heads, 3, got 16"),
-        ({"kept": 13}, "kept: expected from 0 to 12, got 13"),
-        ({"kept": 4, "offsets": False}, "kept: expected 0 without offsets"),
-        ({"dt": 0.0}, "dt: expected more than 0, got 0.0"),
-        ({"future_steps": 0}, "future_steps: expected at least 1, got 0"),
-    ],
-)
-def test_a_wrong_field_is_named(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(TINY, **wrong)
-
-
 def test_the_published_numbers() -> None:
     config = WoteConfig()
     assert (config.anchors, config.judged, config.width, config.hidden) == (256, 256, 256, 1024)
