@@ -26,7 +26,7 @@ def statuses(*speeds: float) -> Tensor:
 SIZE = torch.tensor([[4.6, 1.9]])
 SETTLED_WAYS = 2 * len(TURNS) + len(HALTINGS)
 ONCE = 7 + 1 + SETTLED_WAYS
-"""Return the ways of a model without a route, before they repeat."""
+"""Ways of a model without a route, before they repeat."""
 
 
 @pytest.fixture(params=["mlp", "transformer"])
