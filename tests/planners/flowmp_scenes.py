@@ -114,11 +114,9 @@ class GaussianFlow:
     def __post_init__(self) -> None:
         self.prior = TrajectoryPrior(self.config)
 
-    def encode(
-        self, x_curr: Tensor, x_goal: Tensor, limits: Tensor, **_: Tensor
-    ) -> dict[str, Tensor]:
-        frame = Frame.between(x_curr[:, : self.config.dim], x_goal[:, : self.config.dim])
-        return {"prior_basis": self.prior.basis(frame, limits[:, 3])}
+    def encode(self, *_: Tensor, **scene: Tensor) -> dict[str, Tensor]:
+        ends = (scene[name][:, : self.config.dim] for name in ("x_curr", "x_goal"))
+        return {"prior_basis": self.prior.basis(Frame.between(*ends), scene["limits"][:, 3])}
 
     def modulate(self, times: Tensor, context: dict[str, Tensor]) -> Tensor:
         self.asked.append(times.tolist())
