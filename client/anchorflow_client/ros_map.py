@@ -64,7 +64,7 @@ class RosMap(RosGrid):
     @cached_property
     def occupancy(self) -> NDArray[np.float32]:
         """[H, W] in [0, 1]: 1 for an obstacle, below 0.5 in proportion to the cost of the rest."""
-        table = np.arange(256, dtype=np.float32) / (2 * LETHAL_PERCENT)
+        table = (np.arange(256) / (2 * LETHAL_PERCENT)).astype(np.float32)
         table[LETHAL_PERCENT], table[UNKNOWN] = 1.0, self.unknown_occupancy
         return table[self.values[:, :].view(np.uint8)]
 
@@ -192,13 +192,14 @@ class _Fields:
     def choice(self, name: str, choices: tuple[Any, ...], *, default: Any) -> Any:
         came = self.values.get(name, default)
         value = came.lower() if isinstance(came, str) else came
-        value = _FLAGS.get(value, value) if choices == (0, 1) else value
+        if choices == (0, 1) and isinstance(value, str):
+            value = _FLAGS.get(value, value)
         if value not in choices:
             raise self.error(name, f"one of {', '.join(map(str, choices))}", came)
         return value
 
 
-_FLAGS = dict.fromkeys(("true", "yes", "on"), 1) | dict.fromkeys(("false", "no", "off"), 0)
+_FLAGS = {"true": 1, "yes": 1, "on": 1, "false": 0, "no": 0, "off": 0}
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE | re.ASCII)
 
 

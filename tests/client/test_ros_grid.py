@@ -42,7 +42,7 @@ def header(stamp: tuple[int, int], frame: str = "map") -> SimpleNamespace:
 
 def update(data: list[int], *, stamp: tuple[int, int] = (11, 0), **changed: Any) -> Any:
     """A map_msgs/OccupancyGridUpdate of 3 columns and 2 rows."""
-    fields = {"x": 5, "y": 7, "width": 3, "height": 2} | changed
+    fields: dict[str, Any] = {"x": 5, "y": 7, "width": 3, "height": 2} | changed
     frame = fields.pop("frame", "map")
     return SimpleNamespace(header=header(stamp, frame), data=data, **fields)
 
@@ -172,8 +172,8 @@ def test_an_update_changes_its_cells_alone() -> None:
     updated = grid.updated(update([100, 99, 50, -1, 1, 0]))
 
     assert_array_equal(updated.values[7:9, 5:8], [[100, 99, 50], [-1, 1, 0]])
-    assert np.count_nonzero(updated.values) == 5
-    assert not grid.values.any()
+    assert np.count_nonzero(updated.values[:, :]) == 5
+    assert not grid.values[:, :].any()
     assert_array_equal(CostMap.from_occupancy_grid(updated).occupancy[7, 5:8], [1, 0, 0])
 
 
