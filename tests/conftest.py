@@ -45,6 +45,27 @@ def shared_data() -> Callable[[str], Path]:
 
 
 @pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """Return the event loop of the tests that are coroutines."""
+    return "asyncio"
+
+
+class Clock:
+    """A time that stands still until the test sets it."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """Return a clock to set."""
+    return Clock()
+
+
+@pytest.fixture(scope="session")
 def until() -> Callable[[Callable[[], object]], None]:
     """Waits until a condition holds; fails where it still does not after a while.
 

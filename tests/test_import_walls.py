@@ -91,7 +91,7 @@ WALLS: dict[str, set[str]] = {
 }
 # Optional dependencies of single modules or folders.
 EXCEPTIONS = {
-    "anchorflow_client.plan_keywords": {"typing_extensions"},  # read by type checkers alone
+    "anchorflow_client.base_client": {"typing_extensions"},  # read by type checkers alone
     "anchorflow_client.ros_map": {"PIL", "yaml"},
     "anchorflow_client.zenoh_client": {"zenoh"},
     "anchorflow_driving.importers.argoverse": {"pyarrow"},

@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 from anchorflow_benchmarks import BenchmarkError
 
@@ -15,23 +16,36 @@ STOP_TIMEOUT_S = 30.0
 CLI = "from anchorflow_cli.main import main; main()"
 ROUTER = """
 import sys, threading
+from pathlib import Path
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
-session = open_session(ZenohSettings(mode="router", listen=(sys.argv[1],)))
+listen, *files = sys.argv[1:]
+config_file = Path(files[0]) if files else None
+session = open_session(ZenohSettings(mode="router", listen=(listen,), config_file=config_file))
 print("up", flush=True)
 threading.Event().wait()
 """
 
 
+def free_port() -> int:
+    """Return a port of this machine without a listener."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return listener.getsockname()[1]
+
+
 def free_endpoint() -> str:
     """Return a zenoh endpoint on a free port of this machine."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
-def router_command(endpoint: str) -> list[str]:
+def serve_command(*options: object) -> list[str]:
+    """Return the command of `anchorflow serve`, by default on a free port."""
+    return [sys.executable, "-u", "-c", CLI, "serve", "--port", "0", *map(str, options)]
+
+
+def router_command(endpoint: str, *config_file: Path) -> list[str]:
     """Return the command of a zenoh router that listens on an endpoint."""
-    return [sys.executable, "-c", ROUTER, endpoint]
+    return [sys.executable, "-c", ROUTER, endpoint, *map(str, config_file)]
 
 
 class Program:
@@ -48,9 +62,19 @@ class Program:
         self._process: subprocess.Popen[str] | None = None
         self._lock = threading.Lock()
 
+    @property
+    def url(self) -> str:
+        """The address that a server prints when it is up."""
+        return self.line.partition(" at ")[2].split()[0]
+
     def start(self) -> None:
-        """Wait for the `line` that it prints when up; raise `BenchmarkError` if it ends first."""
+        """Start the command unless it runs, and wait for the `line` that it prints when up.
+
+        Raises `BenchmarkError` if it ends before.
+        """
         with self._lock:
+            if self._process is not None:
+                return
             process = subprocess.Popen(self._command, stdout=subprocess.PIPE, text=True)
             self._process = process
             assert process.stdout is not None
@@ -100,7 +124,6 @@ def served(*options: str) -> Iterator[str]:
 
     Raises `BenchmarkError` if it did not start.
     """
-    command = [sys.executable, "-u", "-c", CLI, "serve", "--port", "0", *options]
     name = f"anchorflow serve {' '.join(options)}"
-    with running(Program(name, command, says=" at ")) as program:
-        yield program.line.partition(" at ")[2].split()[0]
+    with running(Program(name, serve_command(*options), says=" at ")) as program:
+        yield program.url

@@ -9,8 +9,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.progress import Progress
-from rich.progress import track as with_bar
+from rich.progress import Progress, track as with_bar
 
 from anchorflow_cli.data_pairs import counted
 from anchorflow_cli.extras import needs_extra

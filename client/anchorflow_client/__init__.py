@@ -6,118 +6,77 @@ with AnchorClient("http://127.0.0.1:8000") as client:
     anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
 """
 
-from anchorflow_client.base_client import BaseAsyncClient, BaseClient
-from anchorflow_client.cancellation import Cancellation
-from anchorflow_client.codec import Codec, JsonCodec, Payload
+from anchorflow_client.base_client import (
+    BaseAsyncClient as BaseAsyncClient,
+    BaseClient as BaseClient,
+)
+from anchorflow_client.cancellation import Cancellation as Cancellation
+from anchorflow_client.codec import (
+    Codec as Codec,
+    JsonCodec as JsonCodec,
+    Payload as Payload,
+)
 from anchorflow_client.contract import (
-    STYLES,
-    AnchorBatch,
-    AnchorRequest,
-    AnswerSpec,
-    CostMap,
-    CostMapSpec,
-    EncodedImage,
-    GoalTolerance,
-    LimitsSpec,
-    ModelCard,
-    ModelId,
-    NoFinish,
-    OdeSpec,
-    RefineChoice,
-    RefineSpec,
-    SamplerChoice,
-    TensorSpec,
-    TensorsSpec,
-    TimeSpec,
-    TruncatedDiffusionSpec,
-    VisionLanguageSpec,
-    VocabularySpec,
-    WarmStart,
+    STYLES as STYLES,
+    AnchorBatch as AnchorBatch,
+    AnchorRequest as AnchorRequest,
+    AnswerSpec as AnswerSpec,
+    CostMap as CostMap,
+    CostMapSpec as CostMapSpec,
+    EncodedImage as EncodedImage,
+    GoalTolerance as GoalTolerance,
+    LimitsSpec as LimitsSpec,
+    ModelCard as ModelCard,
+    ModelId as ModelId,
+    NoFinish as NoFinish,
+    OdeSpec as OdeSpec,
+    RefineChoice as RefineChoice,
+    RefineSpec as RefineSpec,
+    SamplerChoice as SamplerChoice,
+    TensorSpec as TensorSpec,
+    TensorsSpec as TensorsSpec,
+    TimeSpec as TimeSpec,
+    TruncatedDiffusionSpec as TruncatedDiffusionSpec,
+    VisionLanguageSpec as VisionLanguageSpec,
+    VocabularySpec as VocabularySpec,
+    WarmStart as WarmStart,
 )
-from anchorflow_client.contract.ros_grid import RosGrid
+from anchorflow_client.contract.ros_grid import RosGrid as RosGrid
 from anchorflow_client.errors import (
-    AnchorFlowError,
-    Cancelled,
-    ConnectionFailed,
-    DeadlineExceeded,
-    InternalError,
-    InvalidAnswer,
-    InvalidRequest,
-    NotReady,
-    Overloaded,
-    RequestError,
-    Superseded,
-    TimedOut,
-    TooLarge,
-    TransportError,
-    Unauthorized,
-    UnknownModel,
+    AnchorFlowError as AnchorFlowError,
+    Cancelled as Cancelled,
+    ConnectionFailed as ConnectionFailed,
+    DeadlineExceeded as DeadlineExceeded,
+    InternalError as InternalError,
+    InvalidAnswer as InvalidAnswer,
+    InvalidRequest as InvalidRequest,
+    NotReady as NotReady,
+    Overloaded as Overloaded,
+    RequestError as RequestError,
+    Superseded as Superseded,
+    TimedOut as TimedOut,
+    TooLarge as TooLarge,
+    TransportError as TransportError,
+    Unauthorized as Unauthorized,
+    UnknownModel as UnknownModel,
 )
-from anchorflow_client.http import AnchorClient, AsyncAnchorClient
-from anchorflow_client.http.transport import AsyncTransport, Transport
-from anchorflow_client.oip_codec import OipCodec
-from anchorflow_client.planner import Plan, Planner, PlannerConfig, PlanState
-from anchorflow_client.resampling import ResampledAnchor, resample
-from anchorflow_client.retry import AsyncRetryingClient, RetryingClient
-
-__all__ = [
-    "STYLES",
-    "AnchorBatch",
-    "AnchorClient",
-    "AnchorFlowError",
-    "AnchorRequest",
-    "AnswerSpec",
-    "AsyncAnchorClient",
-    "AsyncRetryingClient",
-    "AsyncTransport",
-    "BaseAsyncClient",
-    "BaseClient",
-    "Cancellation",
-    "Cancelled",
-    "Codec",
-    "ConnectionFailed",
-    "CostMap",
-    "CostMapSpec",
-    "DeadlineExceeded",
-    "EncodedImage",
-    "GoalTolerance",
-    "InternalError",
-    "InvalidAnswer",
-    "InvalidRequest",
-    "JsonCodec",
-    "LimitsSpec",
-    "ModelCard",
-    "ModelId",
-    "NoFinish",
-    "NotReady",
-    "OdeSpec",
-    "OipCodec",
-    "Overloaded",
-    "Payload",
-    "Plan",
-    "PlanState",
-    "Planner",
-    "PlannerConfig",
-    "RefineChoice",
-    "RefineSpec",
-    "RequestError",
-    "ResampledAnchor",
-    "RetryingClient",
-    "RosGrid",
-    "SamplerChoice",
-    "Superseded",
-    "TensorSpec",
-    "TensorsSpec",
-    "TimeSpec",
-    "TimedOut",
-    "TooLarge",
-    "Transport",
-    "TransportError",
-    "TruncatedDiffusionSpec",
-    "Unauthorized",
-    "UnknownModel",
-    "VisionLanguageSpec",
-    "VocabularySpec",
-    "WarmStart",
-    "resample",
-]
+from anchorflow_client.http import (
+    AnchorClient as AnchorClient,
+    AsyncAnchorClient as AsyncAnchorClient,
+)
+from anchorflow_client.http.transport import (
+    AsyncTransport as AsyncTransport,
+    Transport as Transport,
+)
+from anchorflow_client.oip_codec import OipCodec as OipCodec
+from anchorflow_client.planner import (
+    Plan as Plan,
+    Planner as Planner,
+    PlannerConfig as PlannerConfig,
+    PlanState as PlanState,
+)
+from anchorflow_client.resampling import ResampledAnchor as ResampledAnchor, resample as resample
+from anchorflow_client.retry import (
+    AsyncRetryingClient as AsyncRetryingClient,
+    RetryingClient as RetryingClient,
+)

@@ -25,7 +25,6 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.contract.checks import DTYPES
-from anchorflow_client.contract.fields import given
 from anchorflow_client.contract.inputs import EncodedImage, Input
 from anchorflow_client.errors import InvalidAnswer, InvalidRequest
 
@@ -89,8 +88,8 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
         for name in ("x_curr", "x_goal", "w_style"):
             array = getattr(scenes, name)
             fields[name] = array if batched else array[0]
-    fields["sampler"] = request.sampler and given(request.sampler)
-    fields["refine"] = request.refine and given(request.refine)
+    fields["sampler"] = request.sampler and request.sampler.given
+    fields["refine"] = request.refine and request.refine.given
     fields["warm_start"] = request.warm_start and _given(request.warm_start)
     fields["goal_tolerance"] = request.goal_tolerance and _given(request.goal_tolerance)
     fields["inputs"] = request.inputs or None
@@ -99,7 +98,9 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
 
 
 def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
-    """Return an answer's fields, with numpy arrays."""
+    """Return an answer's fields, with numpy arrays. Raises `ValueError` if one is not finite."""
+    if not batch.is_finite:
+        raise ValueError("the answer holds numbers that are not finite")
     absent = {"absent_inputs": ",".join(batch.absent_inputs)} if batch.absent_inputs else {}
     return dict(batch.arrays) | {
         "dt": batch.dt,
@@ -192,8 +193,6 @@ class JsonCodec:
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
         """Write an answer. Raises `ValueError` if a number is not finite."""
-        if not batch.is_finite:
-            raise ValueError("the answer holds numbers that are not finite")
         return Payload(self._dump(answer_fields(batch)))
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:

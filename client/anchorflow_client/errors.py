@@ -197,15 +197,4 @@ def _names(message: str, field: str | None) -> bool:
     return field is None or bool(re.search(rf"(?<![\w.]){re.escape(field)}(?!\.?\w)", message))
 
 
-_REFUSALS: tuple[type[RequestError], ...] = (
-    InvalidRequest,
-    UnknownModel,
-    TooLarge,
-    Unauthorized,
-    Overloaded,
-    Superseded,
-    DeadlineExceeded,
-    NotReady,
-    InternalError,
-)
-_CLASS_OF_CODE: dict[str, type[RequestError]] = {refusal.code: refusal for refusal in _REFUSALS}
+_CLASS_OF_CODE = {kind.code: kind for kind in RequestError.__subclasses__()}

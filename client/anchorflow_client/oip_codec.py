@@ -88,8 +88,6 @@ class OipCodec:
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
         """Write an answer. Raises `ValueError` if a number is not finite."""
-        if not batch.is_finite:
-            raise ValueError("the answer holds numbers that are not finite")
         leaves = flatten(answer_fields(batch))
         tensors = {name: leaves.pop(name) for name in answer_tensors(batch)}
         header = {

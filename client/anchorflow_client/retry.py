@@ -10,11 +10,12 @@ import random
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Generic, TypeVar
 
 from anchorflow_client.base_client import BaseAsyncClient, BaseClient
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelCard
-from anchorflow_client.retry_policy import RETRIED, Attempts, RetryPolicy
+from anchorflow_client.retry_policy import RETRIED, Attempts, check_times
 
 Answer = TypeVar("Answer")
 Inner = TypeVar("Inner")
@@ -51,13 +52,14 @@ class _Retrying(ABC, Generic[Inner, Slept]):
             ValueError: a time is not above 0.
         """
         self._client = client
-        self._policy = RetryPolicy(
-            patience_s=patience_s,
-            first_pause_s=first_pause_s,
-            longest_pause_s=longest_pause_s,
-            clock=clock,
-            draw=draw,
-        )
+        times_s = {
+            "patience_s": patience_s,
+            "first_pause_s": first_pause_s,
+            "longest_pause_s": longest_pause_s,
+        }
+        check_times(**times_s)
+        numbers_s = {name: float(time_s) for name, time_s in times_s.items()}
+        self._attempts = partial(Attempts, **numbers_s, clock=clock, draw=draw)
         self._sleep = sleep or self._default_sleep
 
     @abstractmethod
@@ -79,11 +81,11 @@ class RetryingClient(_Retrying[BaseClient, object], BaseClient):
     """
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        attempts = self._policy.attempts(request.budget_ms)
+        attempts = self._attempts(request.budget_ms)
         return self._retry(lambda: self._client.plan_request(attempts.remaining(request)), attempts)
 
     def models(self) -> tuple[ModelCard, ...]:
-        return self._retry(self._client.models, self._policy.attempts())
+        return self._retry(self._client.models, self._attempts())
 
     def live(self) -> bool:
         return self._client.live()
@@ -110,13 +112,13 @@ class AsyncRetryingClient(_Retrying[BaseAsyncClient, Awaitable[object]], BaseAsy
     """`RetryingClient` over an async client. Cancelling the task ends the retries."""
 
     async def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        attempts = self._policy.attempts(request.budget_ms)
+        attempts = self._attempts(request.budget_ms)
         return await self._retry(
             lambda: self._client.plan_request(attempts.remaining(request)), attempts
         )
 
     async def models(self) -> tuple[ModelCard, ...]:
-        return await self._retry(self._client.models, self._policy.attempts())
+        return await self._retry(self._client.models, self._attempts())
 
     async def live(self) -> bool:
         return await self._client.live()

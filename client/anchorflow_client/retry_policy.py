@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.contract.checks import is_number
@@ -35,37 +35,27 @@ def check_times(most: float = math.inf, /, **times_s: float) -> None:
             raise ValueError(f"{name}: expected at most {most:g} s, got {time_s}")
 
 
-@dataclass(frozen=True, kw_only=True)
-class RetryPolicy:
-    """How long, and how often, a call is repeated; `RetryingClient` documents the fields."""
-
-    patience_s: float
-    first_pause_s: float
-    longest_pause_s: float
-    clock: Callable[[], float]
-    draw: Callable[[], float]
-
-    def __post_init__(self) -> None:
-        """Raise `ValueError` if a time is not above 0."""
-        for name in ("patience_s", "first_pause_s", "longest_pause_s"):
-            check_times(**{name: getattr(self, name)})
-            object.__setattr__(self, name, float(getattr(self, name)))
-
-    def attempts(self, budget_ms: float | None = None) -> Attempts:
-        """Return the attempts at one call, whose first attempt begins now."""
-        return Attempts(self, budget_ms)
-
-
 class Attempts:
-    """The attempts at one call."""
+    """The attempts at one call; `RetryingClient` documents the arguments."""
 
-    def __init__(self, policy: RetryPolicy, budget_ms: float | None) -> None:
-        self._policy = policy
-        self._start = policy.clock()
+    def __init__(
+        self,
+        budget_ms: float | None = None,
+        *,
+        patience_s: float,
+        first_pause_s: float,
+        longest_pause_s: float,
+        clock: Callable[[], float],
+        draw: Callable[[], float],
+    ) -> None:
+        """Begin the first attempt now."""
+        self._clock = clock
+        self._draw = draw
+        self._start = clock()
         self._elapsed_s = 0.0
         budget_s = math.inf if budget_ms is None else budget_ms / 1e3
-        self._until_s = min(policy.patience_s, budget_s)
-        self._pauses = exponential_backoff(policy.first_pause_s, policy.longest_pause_s)
+        self._until_s = min(patience_s, budget_s)
+        self._pauses = exponential_backoff(first_pause_s, longest_pause_s)
 
     def remaining(self, request: AnchorRequest) -> AnchorRequest:
         """Return the request with its budget reduced by the time that earlier attempts took."""
@@ -75,7 +65,7 @@ class Attempts:
 
     def pause_after(self, error: AnchorFlowError) -> float:
         """Return the seconds to wait before the next attempt; raise `error` if there is none."""
-        share = 0.5 + 0.5 * self._policy.draw()
+        share = 0.5 + 0.5 * self._draw()
         pause_s = at_least_retry_after(next(self._pauses) * share, error)
         if self._now_s() + pause_s >= self._until_s:
             raise error
@@ -89,7 +79,7 @@ class Attempts:
             raise error
 
     def _now_s(self) -> float:
-        return self._policy.clock() - self._start
+        return self._clock() - self._start
 
 
 def exponential_backoff(first: float, longest: float) -> Iterator[float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import socket
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from command_line import Served, failure
 
+from anchorflow_benchmarks.programs import free_endpoint
 from anchorflow_cli.zenoh_options import OPTIONS
 from anchorflow_client import AnchorClient, OipCodec
 from anchorflow_client.contract.batch import ARRAY_DTYPES
@@ -21,8 +21,7 @@ FEW_STEPS = {"method": "euler", "schedule": {"uniform": 1}}
 
 @pytest.fixture
 def endpoint() -> str:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    return free_endpoint()
 
 
 def test_one_process_answers_over_both(serve: Callable[..., Served], endpoint: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -11,18 +11,12 @@ import numpy as np
 import pytest
 from blocking_twin import Blocking
 from staged_planner import Stage
+from straight_lines import CARD, FREE_CARD
 
 from anchorflow_client import (
     AnchorClient,
-    AnswerSpec,
     AsyncAnchorClient,
-    CostMapSpec,
-    LimitsSpec,
     ModelCard,
-    OdeSpec,
-    RefineSpec,
-    TensorSpec,
-    TimeSpec,
     Transport,
 )
 from anchorflow_client.http.transport import HttpAnswer
@@ -42,39 +36,20 @@ def fields() -> dict[str, Any]:
 @pytest.fixture
 def card() -> ModelCard:
     """Return a card that lets only robot_radius change."""
-    return ModelCard(
-        name="lines",
-        version="1.2.3",
-        sha256="ab" * 32,
-        planner="lines",
-        inputs=(TensorSpec("x_curr", "float32", ("B", 6), "m, m/s, m/s^2"),),
-        conditioning=CostMapSpec(
-            channels=3,
-            H=64,
-            W=64,
-            limits=LimitsSpec(horizon_s=8.0, v_max=2.0, a_max=3.0, robot_radius=0.25),
-            ranges={"robot_radius": (0.1, 0.6)},
-        ),
-        sampler=OdeSpec("rk4", (0.0, 0.5, 1.0)),
-        finish=RefineSpec(smooth=True, project=True, safety_margin=0.05, guidance=0.0),
-        time=TimeSpec(steps=64, first_s=0.0, dt=8.0 / 63),
-        answer=AnswerSpec(("x", "y"), ("velocities", "scores", "safe")),
-        quality={"any": 0.9},
-    )
+    conditioning = replace(CARD.cost_map, ranges={"robot_radius": (0.1, 0.6)})
+    return replace(CARD, conditioning=conditioning, quality={"any": 0.9})
 
 
 @pytest.fixture
-def free(card: ModelCard) -> ModelCard:
+def free() -> ModelCard:
     """Return a card whose anchors have their own durations, and whose limits can all be set."""
-    own = card.cost_map
-    ranges = {
+    ranges: dict[Any, tuple[float, float]] = {
         "robot_radius": (0.1, 0.6),
         "v_max": (0.1, 6.0),
         "a_max": (0.5, 8.0),
         "horizon_s": (1.0, 60.0),
     }
-    conditioning = replace(own, limits=replace(own.limits, horizon_s=None), ranges=ranges)
-    return replace(card, conditioning=conditioning, time=replace(card.time, dt=None))
+    return replace(FREE_CARD, conditioning=replace(FREE_CARD.cost_map, ranges=ranges))
 
 
 @pytest.fixture
@@ -97,15 +72,8 @@ class AsyncTwin:
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
 
-    async def send(
-        self,
-        method: str,
-        path: str,
-        headers: Mapping[str, str],
-        body: bytes | None,
-        timeout_s: float,
-    ) -> HttpAnswer:
-        return self._transport.send(method, path, headers, body, timeout_s)
+    async def send(self, *sent: Any, **_: Any) -> HttpAnswer:
+        return self._transport.send(*sent)
 
     async def aclose(self) -> None:
         self._transport.close()

@@ -6,8 +6,7 @@ import http.client
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from anchorflow_client.http.answer_parser import MAX_HEAD_LINES, MAX_LINE, AnswerParser
 

@@ -1,15 +1,17 @@
-"""Every codec reads back what it wrote, to the last bit."""
+"""Every codec reads back what it wrote, to the last bit; JSON that cannot be read is refused."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields as dataclass_fields
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from bad_fields import NOT_JSON
+from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as hnp
+from staged_planner import made_batch
 
 from anchorflow_client import (
     STYLES,
@@ -17,14 +19,17 @@ from anchorflow_client import (
     AnchorRequest,
     Codec,
     EncodedImage,
+    InvalidAnswer,
     InvalidRequest,
     JsonCodec,
     ModelId,
     OipCodec,
+    Payload,
 )
 
 FINITE32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
-CODECS = [JsonCodec(), OipCodec()]
+JSON = JsonCodec()
+CODECS = [JSON, OipCodec()]
 
 
 def assert_same(left: Any, right: Any) -> None:
@@ -106,15 +111,13 @@ def batches(draw: st.DrawFn) -> AnchorBatch:
     paths = hnp.arrays(np.float32, (*anchors, 3, draw(st.integers(2, 3))), elements=FINITE32)
     trajectories = draw(paths)
     per_anchor = hnp.arrays(np.float32, anchors, elements=FINITE32)
-    return AnchorBatch(
-        arrays={
-            "trajectories": trajectories,
-            "velocities": trajectories[..., ::-1],
-            "accelerations": trajectories * np.float32(0.5),
-            "scores": draw(per_anchor),
-            "clearance": draw(per_anchor),
-            "safe": draw(hnp.arrays(bool, anchors)),
-        },
+    return made_batch(
+        trajectories,
+        velocities=trajectories[..., ::-1],
+        accelerations=trajectories * np.float32(0.5),
+        scores=draw(per_anchor),
+        clearance=draw(per_anchor),
+        safe=draw(hnp.arrays(bool, anchors)),
         dt=draw(st.floats(0.01, 1) | hnp.arrays(float, anchors, elements=st.floats(1e-6, 600))),
         seed=draw(st.integers(0, 2**63 - 1)),
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),
@@ -170,3 +173,84 @@ def test_an_input_that_no_type_of_the_wire_holds_is_refused() -> None:
 def test_a_picture_is_bytes() -> None:
     with pytest.raises(InvalidRequest, match="data: expected bytes, got the string 'abc'"):
         EncodedImage("png", "abc")  # pyright: ignore[reportArgumentType] - the mistake
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("name", ["trajectories", "scores"])
+def test_an_answer_with_numbers_that_are_not_finite_is_not_sent(codec: Codec, name: str) -> None:
+    batch = made_batch(**{name: np.full_like(getattr(made_batch(), name), np.nan)})
+
+    with pytest.raises(ValueError, match="not finite"):
+        codec.encode_answer(batch)
+
+
+@settings(max_examples=100)
+@given(st.binary(max_size=40))
+def test_no_bytes_break_the_reader(body: bytes) -> None:
+    with pytest.raises(InvalidRequest):
+        JSON.decode_request(Payload(body))
+    with pytest.raises(InvalidAnswer):
+        JSON.decode_answer(Payload(body))
+
+
+def test_a_map_shared_by_a_batch_travels_once(fields: dict[str, Any]) -> None:
+    fields["x_curr"] = [fields["x_curr"]] * 5
+    request = AnchorRequest.from_fields(fields)
+
+    sent = json.loads(JSON.encode_request(request).body)
+
+    assert np.shape(sent["cost_map"]["data"]) == (1, 16, 20)
+    assert np.shape(sent["x_curr"]) == (5, 6)
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b"", "position 0 of 0"),
+        (b"\xff", "position 0 of 1: not UTF-8"),
+        (b"[" * 60_000, "lists nested too deep"),
+        *NOT_JSON.items(),
+    ],
+)
+def test_a_body_that_is_no_object_is_refused(body: bytes, words: str) -> None:
+    with pytest.raises(InvalidRequest) as caught:
+        JSON.decode_request(Payload(body))
+
+    assert caught.value.field == "body"
+    assert words in caught.value.message
+
+
+@pytest.mark.parametrize("literal", ["NaN", "Infinity", "-Infinity", "1e999"])
+def test_a_literal_that_is_not_finite_is_refused_by_its_field(
+    fields: dict[str, Any], literal: str
+) -> None:
+    body = json.dumps(fields | {"x_goal": [3.0, 0.5, 12345, 0]}).replace("12345", literal)
+
+    with pytest.raises(InvalidRequest, match=r"finite numbers, got -?(nan|inf) at x_goal\[2\]"):
+        JSON.decode_request(Payload(body.encode()))
+
+
+def answer_in_json(**changes: Any) -> Payload:
+    """Two anchors of two steps, as a service writes them."""
+    batch = made_batch(np.zeros((2, 2, 2)), dt=np.array([0.1, 0.7]))
+    return Payload(json.dumps(json.loads(JSON.encode_answer(batch).body) | changes).encode())
+
+
+def test_dt_is_a_number_or_a_list() -> None:
+    assert json.loads(answer_in_json().body)["dt"] == [0.1, 0.7]
+    np.testing.assert_array_equal(JSON.decode_answer(answer_in_json()).durations, [0.1, 0.7])
+    assert JSON.decode_answer(answer_in_json(dt=1)).dt == 1.0
+
+
+@pytest.mark.parametrize(
+    "dt", [None, "0.1", [0.1], [0.1, None], [[0.1, 0.2]], [0.1, "0.2"], 0, [0.1, -1], [0.1, [0.2]]]
+)
+def test_an_answer_with_another_dt_is_invalid(dt: Any) -> None:
+    with pytest.raises(InvalidAnswer, match=r"dt|inhomogeneous"):
+        JSON.decode_answer(answer_in_json(dt=dt))
+
+
+@pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"model": 3}', b'{"timing_ms": []}'])
+def test_an_answer_of_another_program_is_invalid(body: bytes) -> None:
+    with pytest.raises(InvalidAnswer):
+        JSON.decode_answer(Payload(body))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-import socket
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 import pytest
 from staged_planner import ANSWER
 
+from anchorflow_benchmarks.programs import free_port
 from anchorflow_client import (
     AnchorClient,
     AsyncAnchorClient,
@@ -44,18 +44,11 @@ class Canned:
     ) -> None:
         body = value if isinstance(value, bytes) else json.dumps(value).encode()
         self.answer: HttpAnswer = (status, headers or {}, body)
-        self.sent: list[tuple[str, str, Mapping[str, str], bytes | None, float]] = []
+        self.sent: list[Any] = []
         self.closed = False
 
-    def send(
-        self,
-        method: str,
-        path: str,
-        headers: Mapping[str, str],
-        body: bytes | None,
-        timeout_s: float,
-    ) -> HttpAnswer:
-        self.sent.append((method, path, headers, body, timeout_s))
+    def send(self, *sent: Any, **_: Any) -> HttpAnswer:
+        self.sent.append(sent)
         return self.answer
 
     def close(self) -> None:
@@ -275,6 +268,4 @@ def test_a_time_may_be_a_number_of_numpy(client: Client, fields: dict[str, Any])
     assert type(transport.sent[0][-1]) is float
 
     times: dict[str, Any] = dict.fromkeys(TIMES, np.float32(1))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        url = f"http://127.0.0.1:{listener.getsockname()[1]}"
-    assert not AnchorClient(url, **times).live()
+    assert not AnchorClient(f"http://127.0.0.1:{free_port()}", **times).live()

@@ -1,15 +1,18 @@
-"""Hostile binary bodies: always the documented error with its field, never a crash."""
+"""Hostile and damaged binary bodies: always the documented error with its field, never a crash."""
 
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from bad_fields import NOT_JSON
+from staged_planner import made_batch
 
-from anchorflow_client import AnchorBatch, InvalidAnswer, InvalidRequest, ModelId, OipCodec, Payload
+from anchorflow_client import InvalidAnswer, InvalidRequest, OipCodec, Payload
 from anchorflow_client.oip_message import MAX_HEADER_BYTES, pack
 
 CODEC = OipCodec()
@@ -24,25 +27,10 @@ REQUEST = pack({"id": "r1", "parameters": {"seed": 1, "num_samples": 4}}, "input
 
 Header = dict[str, Any]
 Edit = Callable[[Header], object]
-
-
-def answer() -> Payload:
-    paths = np.arange(12, dtype=F32).reshape(2, 3, 2)
-    batch = AnchorBatch(
-        arrays={
-            "trajectories": paths,
-            "velocities": paths,
-            "accelerations": paths,
-            "scores": np.zeros(2, F32),
-            "clearance": np.ones(2, F32),
-            "safe": np.array([True, False]),
-        },
-        dt=0.1,
-        seed=1,
-        model=ModelId("lines", "1", "ab"),
-        timing_ms={"total": 1.0},
-    )
-    return CODEC.encode_answer(batch)
+Mutate = Callable[[Payload, np.random.Generator], Payload]
+ANSWER = CODEC.encode_answer(
+    made_batch(np.arange(12, dtype=F32).reshape(2, 3, 2), safe=[True, False])
+)
 
 
 def split(payload: Payload) -> tuple[Header, bytes]:
@@ -87,8 +75,16 @@ def parameter(name: str, value: Any) -> Edit:
     return lambda header: header["parameters"].update({name: value})
 
 
-def without(index: int) -> Edit:
-    return lambda header: header["inputs"].pop(index)
+def field(name: str, value: Any) -> Edit:
+    return lambda header: header.update({name: value})
+
+
+SURPLUS = {
+    "name": "w_style",
+    "datatype": "FP32",
+    "shape": [3],
+    "parameters": {"binary_data_size": 12},
+}
 
 
 HUGE = 10**30
@@ -120,49 +116,36 @@ BAD_HEADERS: dict[str, tuple[Edit, str, str]] = {
     "unprintable name": (entry(2, name="\ud800"), "inputs[2].name", "printable ASCII"),
     "the same twice": (entry(1, name="x_curr"), "x_curr", "expected one tensor of this name"),
     "tensor is no object": (lambda header: header["inputs"].append(3), "inputs[4]", "got 3"),
-    "inputs are no list": (lambda header: header.update(inputs={}), "inputs", "got an object"),
+    "inputs are no list": (field("inputs", {}), "inputs", "got an object"),
     "no inputs": (lambda header: header.pop("inputs"), "inputs", "required"),
     "surplus tensor": (
-        lambda header: header["inputs"].append(
-            {
-                "name": "w_style",
-                "datatype": "FP32",
-                "shape": [3],
-                "parameters": {"binary_data_size": 12},
-            }
-        ),
+        lambda header: header["inputs"].append(SURPLUS),
         "w_style",
-        "expected 12 bytes, got 0",
+        "12 bytes, got 0",
     ),
-    "outputs are no list": (lambda header: header.update(outputs={"a": 1}), "outputs", "a list of"),
+    "outputs are no list": (field("outputs", {"a": 1}), "outputs", "a list of"),
     "output with nonsense": (
-        lambda header: header.update(outputs=[{"name": "safe", "parameters": "nonsense"}]),
+        field("outputs", [{"name": "safe", "parameters": "nonsense"}]),
         "outputs[0].parameters",
         "an object, got the string",
     ),
     "output in JSON": (
-        lambda header: header.update(
-            outputs=[{"name": "safe", "parameters": {"binary_data": False}}]
-        ),
+        field("outputs", [{"name": "safe", "parameters": {"binary_data": False}}]),
         "safe.parameters.binary_data",
         "got false",
     ),
+    "output without a name": (field("outputs", [{}]), "outputs[0].name", "required"),
     "resolution twice": (
         parameter("cost_map.resolution", 0.5),
         "cost_map.resolution",
-        "as a parameter too",
+        "parameter too",
     ),
-    "output without a name": (
-        lambda header: header.update(outputs=[{}]),
-        "outputs[0].name",
-        "required",
-    ),
-    "nameless field": (lambda header: header.update({"": 1}), '""', "unknown field"),
+    "nameless field": (field("", 1), '""', "unknown field"),
     "outputs in JSON": (parameter("binary_data_output", False), "binary_data_output", "got false"),
-    "id of another type": (lambda header: header.update(id=3), "request_id", "a string, got 3"),
+    "id of another type": (field("id", 3), "request_id", "a string, got 3"),
     "id twice": (parameter("request_id", "r2"), "request_id", "as a parameter too"),
     "tensor as parameter": (parameter("x_curr", "0"), "x_curr", "as a parameter too"),
-    "parameters are a list": (lambda header: header.update(parameters=[]), "parameters", "object"),
+    "parameters are a list": (field("parameters", []), "parameters", "object"),
     "parameter is a list": (parameter("seed", [1]), "seed", "a string, a number or a boolean"),
     "parameter is null": (parameter("seed", None), "seed", "a string, a number or a boolean"),
     "unknown parameter": (parameter("sead", 1), "sead", "did you mean 'seed'?"),
@@ -173,13 +156,11 @@ BAD_HEADERS: dict[str, tuple[Edit, str, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BAD_HEADERS)
-def test_a_header_that_lies_is_refused_by_field(case: str) -> None:
-    edit, field, words = BAD_HEADERS[case]
-
+@pytest.mark.parametrize(("edit", "name", "words"), BAD_HEADERS.values(), ids=BAD_HEADERS)
+def test_a_header_that_lies_is_refused_by_field(edit: Edit, name: str, words: str) -> None:
     error = refusal(edited(REQUEST, edit))
 
-    assert error.field == field
+    assert error.field == name
     assert words in error.message
 
 
@@ -193,7 +174,7 @@ def test_a_missing_tensor_is_refused(index: int) -> None:
         "cost_map.resolution" if name == "map_geometry" else name.replace("_map", "_map.data")
     )
     # The header leaves it out and the bytes are still there.
-    assert refusal(edited(REQUEST, without(index))).field
+    assert refusal(edited(REQUEST, lambda header: header["inputs"].pop(index))).field
 
 
 def test_tensors_that_share_bytes_are_refused() -> None:
@@ -222,7 +203,7 @@ def test_a_header_length_that_cannot_be_is_refused(length: int | None) -> None:
     error = refusal(Payload(REQUEST.body, length))
 
     assert error.field == "header_length"
-    assert_invalid_answer(Payload(answer().body, length), "header_length")
+    assert_invalid_answer(Payload(ANSWER.body, length), "header_length")
 
 
 @pytest.mark.parametrize("length", range(1, REQUEST.header_length or 0, 11))
@@ -237,25 +218,15 @@ def test_a_header_longer_than_any_contract_is_not_parsed() -> None:
 
 
 @pytest.mark.parametrize(
-    "header",
-    [b"", b"{", b"[1]", b'"text"', b"null", b"\xff\xfe{}", b"[" * 60_000, b"9" * 5000, b"NaN"],
-)
-def test_a_header_that_is_no_json_object_is_refused(header: bytes) -> None:
-    assert refusal(joined(header, b"")).field in ("header", "header_length")
-    assert_invalid_answer(joined(header, b""), "header")
-
-
-@pytest.mark.parametrize(
     ("header", "words"),
-    [
-        (b'{"id": ', "expected JSON, got text that breaks at position 7 of 7: Expecting value"),
-        (b"\xff{}", "expected JSON, got text that breaks at position 0 of 3: not UTF-8"),
-        (b"[" * 60_000, "expected the contract's JSON, got lists nested too deep"),
-        (b"9" * 5000, "expected the contract's JSON, got an integer of too many digits"),
-    ],
+    [(b"NaN", "got nan"), (b"[" * 60_000, "lists nested too deep"), *NOT_JSON.items()],
 )
-def test_a_header_that_cannot_be_read_is_refused_in_plain_words(header: bytes, words: str) -> None:
-    assert str(refusal(joined(header, b""))) == f"header: {words}"
+def test_a_header_that_is_no_json_object_is_refused(header: bytes, words: str) -> None:
+    error = refusal(joined(header, b""))
+
+    assert error.field == "header"
+    assert words in error.message
+    assert_invalid_answer(joined(header, b""), "header")
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0, 2.0])
@@ -284,41 +255,81 @@ def test_scenes_that_lie_apart_are_refused() -> None:
     assert refusal(pack({}, "inputs", TENSORS | {"map_geometry": places})).field == "map_geometry"
 
 
+def first_output(**changes: Any) -> Edit:
+    return lambda header: header["outputs"][0].update(changes)
+
+
 BAD_ANSWERS: dict[str, tuple[Edit, str]] = {
     "no model": (lambda header: header.pop("model_name"), "model"),
-    "model is a list": (lambda header: header.update(model_name=[]), "model"),
+    "model is a list": (field("model_name", []), "model"),
     "no dt": (lambda header: header["parameters"].pop("dt"), "dt"),
-    "dt is infinite": (lambda header: header["parameters"].update(dt=float("inf")), "not finite"),
-    "seed is infinite": (lambda header: header["parameters"].update(seed=float("inf")), "answer"),
+    "dt is infinite": (parameter("dt", float("inf")), "not finite"),
+    "seed is infinite": (parameter("seed", float("inf")), "answer"),
     "no outputs": (lambda header: header.pop("outputs"), "outputs"),
-    "outputs are empty": (lambda header: header.update(outputs=[]), "body"),
-    "doubles": (lambda header: header["outputs"][0].update(datatype="FP64"), "trajectories"),
-    "other shape": (lambda header: header["outputs"][0].update(shape=[3, 2, 2]), "velocities"),
-    "flat": (lambda header: header["outputs"][0].update(shape=[12]), "trajectories"),
-    "timing is text": (
-        lambda header: header["parameters"].update({"timing_ms.total": "soon"}),
-        "soon",
-    ),
-    "timing is no object": (lambda header: header["parameters"].update(timing_ms=1), "timing_ms"),
-    "tensor renamed": (
-        lambda header: header["outputs"][0].update(name="paths"),
-        "trajectories: expected",
-    ),
+    "outputs are empty": (field("outputs", []), "body"),
+    "doubles": (first_output(datatype="FP64"), "trajectories"),
+    "other shape": (first_output(shape=[3, 2, 2]), "velocities"),
+    "flat": (first_output(shape=[12]), "trajectories"),
+    "timing is text": (parameter("timing_ms.total", "soon"), "soon"),
+    "timing is no object": (parameter("timing_ms", 1), "timing_ms"),
+    "tensor renamed": (first_output(name="paths"), "trajectories: expected"),
 }
 
 
-@pytest.mark.parametrize("case", BAD_ANSWERS)
-def test_an_answer_that_lies_is_invalid(case: str) -> None:
-    edit, words = BAD_ANSWERS[case]
-
-    assert_invalid_answer(edited(answer(), edit), words)
+@pytest.mark.parametrize(("edit", "words"), BAD_ANSWERS.values(), ids=BAD_ANSWERS)
+def test_an_answer_that_lies_is_invalid(edit: Edit, words: str) -> None:
+    assert_invalid_answer(edited(ANSWER, edit), words)
 
 
 def test_an_answer_of_strange_numbers_is_invalid() -> None:
-    payload = answer()
-    length = payload.header_length or 0
+    body, length = ANSWER.body, ANSWER.header_length or 0
     not_finite = np.array([np.nan], "<f4").tobytes()
 
-    assert_invalid_answer(Payload(payload.body[:-1] + b"\x02", length), "safe: expected bytes of 0")
-    swapped = payload.body[:length] + not_finite + payload.body[length + 4 :]
+    assert_invalid_answer(Payload(body[:-1] + b"\x02", length), "safe: expected bytes of 0")
+    swapped = body[:length] + not_finite + body[length + 4 :]
     assert_invalid_answer(Payload(swapped, length), "not finite")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mutated_bodies_are_read_or_refused(seed: int, mutated: Mutate) -> None:
+    generator = np.random.default_rng(seed)
+    outcomes = {"request read": 0, "answer read": 0, "answer refused": 0}
+    fields: list[str | None] = []
+
+    for _ in range(1000):
+        try:
+            CODEC.decode_request(mutated(REQUEST, generator))
+            outcomes["request read"] += 1
+        except InvalidRequest as error:
+            fields.append(error.field)
+        try:
+            CODEC.decode_answer(mutated(ANSWER, generator))
+            outcomes["answer read"] += 1
+        except InvalidAnswer:
+            outcomes["answer refused"] += 1
+
+    assert all(fields)
+    # Both ways are taken: a mutation that always breaks, or never, would show nothing.
+    assert min(len(fields), *outcomes.values()) > 20, outcomes
+
+
+def test_reading_costs_no_more_than_the_body_pays_for() -> None:
+    """A map of 4 MiB: what is allocated beside the body is less than the body."""
+    payload = pack({}, "inputs", TENSORS | {"cost_map": np.zeros((4, 512, 512), F32)})
+    told = b'"shape":[4,512,512]'
+    lying = Payload(payload.body.replace(told, b'"shape":[9,999,999]'), payload.header_length)
+    CODEC.decode_request(payload)
+
+    tracemalloc.start()
+    try:
+        CODEC.decode_request(payload)
+        _, honest = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        with pytest.raises(InvalidRequest, match="cost_map: expected 35928036 bytes"):
+            CODEC.decode_request(lying)
+        _, refused = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+
+    assert honest < len(payload.body)
+    assert refused < 2**20

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from staged_planner import VIEW, Stage, batch_for
+from staged_planner import VIEW, Stage, batch_for, nothing_safe
 
 from anchorflow_client import (
     AnchorBatch,
@@ -142,23 +142,20 @@ def test_the_margin_is_sent_and_certified() -> None:
     assert (second.project, second.certified_margin) == (False, 0.2)
 
 
-def test_a_plan_names_its_best_anchor_and_those_of_its_route(stage: Stage) -> None:
+def test_a_plan_names_its_best_anchor_those_of_its_route_and_why_none_is_safe(
+    stage: Stage,
+) -> None:
+    def unsafe(request: AnchorRequest) -> AnchorBatch:
+        batch = nothing_safe(request)
+        return replace(batch, arrays={**batch.arrays, "clearance": np.array([-0.1, -0.02])})
+
     plan = stage.cycle()
 
     assert plan.best == 1
     assert plan.on_route is not None
     assert plan.on_route.tolist() == [True, True]
     assert plan.reason is None
-    assert stage.update(x_curr=[0.0] * 6).batch is not None
-
-
-def test_an_answer_without_anything_safe_says_why(stage: Stage) -> None:
-    def unsafe(request: AnchorRequest) -> AnchorBatch:
-        batch = batch_for(request)
-        narrow = {"safe": np.zeros(2, bool), "clearance": np.array([-0.1, -0.02], np.float32)}
-        return replace(batch, arrays={**batch.arrays, **narrow})
-
-    assert stage.cycle().followable
+    assert plan.followable
     stage.reply = unsafe
     plan = stage.cycle()
 
@@ -182,7 +179,7 @@ def test_a_robot_that_gets_nowhere_asks_with_another_seed_and_from_noise() -> No
     assert stage.requests[-1].warm_start is None
 
 
-def test_after_a_reset_nothing_old_comes_back(stage: Stage) -> None:
+def test_after_a_reset_nothing_old_comes_back_and_a_request_is_due(stage: Stage) -> None:
     stage.cycle()
     stage.update()
     stage.planner.reset()
@@ -195,9 +192,6 @@ def test_after_a_reset_nothing_old_comes_back(stage: Stage) -> None:
     assert stage.cycle().request_id == stage.requests[-1].request_id
     assert stage.requests[-1].warm_start is None
 
-
-def test_after_a_reset_a_request_is_due(stage: Stage) -> None:
-    stage.cycle()
     stage.update()
     stage.fail(Overloaded("full", retry_after_s=60.0))
     stage.update()

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from staged_planner import Stage
+from staged_planner import Stage, made_batch
 
-from anchorflow_client import AnchorBatch, CostMap, ModelId, PlannerConfig
+from anchorflow_client import AnchorBatch, CostMap, PlannerConfig
 from anchorflow_client.planner.plan import why_unsafe
 from anchorflow_client.planner.request import AnchorInUse
 from anchorflow_client.planner.routes import Commitment, Progress, Routes, landmarks, signatures
@@ -36,16 +36,8 @@ def batch_of(
     sides: Sequence[float], *, scores: Sequence[float], safe: Sequence[bool] | None = None
 ) -> AnchorBatch:
     paths = bent(sides).astype(np.float32)
-    velocities = np.gradient(paths, axis=1) / 0.1
-    arrays = {
-        "trajectories": paths,
-        "velocities": velocities,
-        "accelerations": np.zeros_like(paths),
-        "scores": np.array(scores),
-        "safe": np.ones(len(sides), bool) if safe is None else np.array(safe),
-    }
-    model = ModelId("bends", "1", "")
-    return AnchorBatch(arrays=arrays, dt=0.1, seed=0, model=model, timing_ms={})
+    told = {} if safe is None else {"safe": safe}
+    return made_batch(paths, velocities=np.gradient(paths, axis=1) / 0.1, scores=scores, **told)
 
 
 def test_sides_of_an_obstacle_are_two_routes() -> None:
@@ -153,7 +145,8 @@ def test_a_slow_robot_that_drives_is_not_stuck() -> None:
 
 def test_the_reason_says_how_much_room_there_is() -> None:
     batch = batch_of([1.5, -1.5], scores=[-1, -1], safe=[False, False])
-    assert why_unsafe(batch, 0.05) == "none of 2 anchors is safe"
+    bare = {name: array for name, array in batch.arrays.items() if name != "clearance"}
+    assert why_unsafe(replace(batch, arrays=bare), 0.05) == "none of 2 anchors is safe"
     clearance = np.array([0.0284, -0.2], np.float32)
     told = why_unsafe(replace(batch, arrays={**batch.arrays, "clearance": clearance}), 0.03)
     assert told is not None

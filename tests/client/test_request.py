@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bad_fields import BAD_FIELDS, occupied_at, with_value
 
 from anchorflow_client import (
     AnchorClient,
@@ -20,19 +21,11 @@ from anchorflow_client import (
 from anchorflow_client.contract import DEFAULT_STYLE, STYLES, TensorSpec
 from anchorflow_client.contract.inputs import bind
 
-NAN, INF = float("nan"), float("inf")
-
 
 def refusal(fields: dict[str, Any]) -> InvalidRequest:
     with pytest.raises(InvalidRequest) as caught:
         AnchorRequest.from_fields(fields)
     return caught.value
-
-
-def occupied_at(row: int, column: int) -> list[Any]:
-    grid = np.zeros((1, 16, 20))
-    grid[0, row, column] = 0.5
-    return grid.tolist()
 
 
 def test_the_defaults_are_the_contracts(fields: dict[str, Any]) -> None:
@@ -42,15 +35,9 @@ def test_the_defaults_are_the_contracts(fields: dict[str, Any]) -> None:
     assert not request.batched
     np.testing.assert_array_equal(request.w_style, [DEFAULT_STYLE])
     np.testing.assert_array_equal(request.cost_map.origin, [-5.0, -4.0])
-    assert request.seed is None
     assert request.robot_radius is None
-
-
-def test_null_leaves_an_optional_field_out(fields: dict[str, Any]) -> None:
-    request = AnchorRequest.from_fields(fields | {"seed": None, "w_style": None, "sampler": None})
-
-    assert request.seed is None
-    assert request.sampler is None
+    null = AnchorRequest.from_fields(fields | {"seed": None, "w_style": None, "sampler": None})
+    assert (null.seed, null.sampler) == (request.seed, request.sampler) == (None, None)
 
 
 def test_one_batched_field_makes_a_batch_that_shares_the_others(fields: dict[str, Any]) -> None:
@@ -63,28 +50,23 @@ def test_one_batched_field_makes_a_batch_that_shares_the_others(fields: dict[str
     assert request.w_style.shape == (3, 3)
 
 
-@pytest.mark.parametrize("name", ["conservative", "balanced", "efficient", "comfortable"])
-def test_a_style_may_be_named(fields: dict[str, Any], name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "heaviest"),
+    [("conservative", 0), ("balanced", 0), ("efficient", 1), ("comfortable", 2)],
+)
+def test_a_style_may_be_named_for_every_scene(
+    fields: dict[str, Any], name: str, heaviest: int
+) -> None:
+    """The weights are those of safety, energy and smoothness."""
     named = AnchorRequest.from_fields(fields | {"w_style": name})
+    batch = AnchorRequest.from_fields(fields | {"w_style": name, "x_goal": [fields["x_goal"]] * 3})
 
     np.testing.assert_array_equal(named.w_style, [STYLES[name]])
+    assert int(named.w_style.argmax()) == heaviest
     assert named.w_style.sum() == pytest.approx(1.0, abs=1e-15)
     assert not named.batched
-
-
-def test_a_named_style_is_every_scenes(fields: dict[str, Any]) -> None:
-    goals = [fields["x_goal"]] * 3
-
-    named = AnchorRequest.from_fields(fields | {"w_style": "efficient", "x_goal": goals})
-
-    np.testing.assert_array_equal(named.w_style, [STYLES["efficient"]] * 3)
-
-
-def test_what_each_style_weighs_most() -> None:
-    """Safety, energy, smoothness; nothing said is balanced."""
-    assert set(STYLES) == {"conservative", "balanced", "efficient", "comfortable"}
-    heaviest = {name: int(np.argmax(weights)) for name, weights in STYLES.items()}
-    assert (heaviest["conservative"], heaviest["efficient"], heaviest["comfortable"]) == (0, 1, 2)
+    np.testing.assert_array_equal(batch.w_style, [STYLES[name]] * 3)
+    assert len(STYLES) == 4
     assert DEFAULT_STYLE == STYLES["balanced"] == (0.4, 0.3, 0.3)
 
 
@@ -163,115 +145,29 @@ def test_numpy_values_are_as_good_as_lists(fields: dict[str, Any]) -> None:
     assert request.cost_map.data.dtype == np.float32
 
 
+BAD_FIELDS_WITH_HEADING: list[tuple[str, Any, list[str]]] = [
+    ("x_goal", [3, 0.5, 0, 0], ["[6] or [B,6]", "got [4]"]),
+    ("x_goal", [[3, 0.5, 0, 0]] * 2, ["[6] or [B,6]", "got [2, 4]"]),
+    ("x_curr", [-3, 9, 0, 0, 0, 0, 0, 0, 0], ["on the map", "(-3, 9)"]),
+    ("x_curr", [0, 0, 0, 0, 0, 500, 0, 0, 0], ["[-100, 100]", "500.0 at x_curr[5]"]),
+    ("warm_start.trajectory", [[0] * 2] * 4, ["[T,3] to [T,9]", "[4, 2]"]),
+    ("warm_start.trajectory", [[0] * 10] * 4, ["[T,3] to [T,9]", "[4, 10]"]),
+]
+
+
 @pytest.mark.parametrize(
-    ("field", "value", "words"),
+    ("given", "field", "value", "words"),
     [
-        ("x_curr", [0, 0, 0], ["[6] or [B,6]", "[9] or [B,9]", "[3]"]),
-        ("x_curr", [[[0] * 6]], ["[6] or [B,6]", "[1, 1, 6]"]),
-        ("x_curr", [0, 0, 0, 0, 0, "abc"], ["a number", "the string 'abc'", "x_curr[5]"]),
-        ("x_curr", "abc", ["a list of numbers", "the string 'abc'"]),
-        ("x_curr", [0, 0, True, 0, 0, 0], ["the boolean true", "x_curr[2]"]),
-        ("x_curr", [0, 0, None, 0, 0, 0], ["null", "x_curr[2]"]),
-        ("x_curr", [0, 0, {}, 0, 0, 0], ["an object", "x_curr[2]"]),
-        ("x_curr", [0, 0, [0], 0, 0, 0], ["a list of 1", "x_curr[2]"]),
-        ("x_curr", [[0] * 6, 7], ["a list", "x_curr[1]", "7"]),
-        ("x_curr", [[0] * 6, [0] * 5], ["x_curr[1]", "a list of 5"]),
-        ("x_curr", [], ["[6] or [B,6]", "[0]"]),
-        ("x_curr", [NAN, 0, 0, 0, 0, 0], ["finite", "nan", "x_curr[0]"]),
-        ("x_curr", [0, 0, 0, 0, 0, -INF], ["finite", "-inf", "x_curr[5]"]),
-        ("x_curr", [10**400, 0, 0, 0, 0, 0], ["finite"]),
-        ("x_curr", [1e30, 0, 0, 0, 0, 0], ["[-1e+07, 1e+07] m", "1e+30"]),
-        ("x_curr", [0, 0, 0, -500, 0, 0], ["[-100, 100] m/s", "-500.0", "x_curr[3]"]),
-        ("x_curr", [[0] * 6, [0] * 5 + [1e4]], ["[-100, 100] m/s^2", "10000.0", "x_curr[1][5]"]),
-        ("x_goal", [0, 0, 3000, 0], ["[-100, 100] m/s", "3000.0", "x_goal[2]"]),
-        ("x_curr", np.array(["a"] * 6), ["numbers", "<U1"]),
-        ("x_curr", np.array(1.0), ["[6] or [B,6]", "[]"]),
-        ("x_goal", np.array(np.nan), ["finite", "nan"]),
-        ("w_style", np.array(0.5), ["[3] or [B,3]", "[]"]),
-        ("cost_map.data", np.array(0.0), ["[C,H,W] or [B,C,H,W]", "[]"]),
-        ("cost_map.origin", np.array(0.0), ["[2]", "[]"]),
-        ("sampler.schedule", np.array(1.0), ["[K]", "[]"]),
-        ("warm_start.trajectory", np.array(1.0), ["[T,2] to [T,6]", "[]"]),
-        ("x_curr", [6, 0, 0, 0, 0, 0], ["on the map", "x from -5 to 5", "(6, 0)"]),
-        ("x_goal", [0, -4.1, 0, 0], ["on the map", "y from -4 to 4", "(0, -4.1)"]),
-        ("x_goal", [0] * 6, ["[4] or [B,4]", "[6]"]),
-        ("x_curr", [0] * 8, ["[6] or [B,6]", "[9] or [B,9]", "[8]"]),
-        ("w_style", [0.5, -0.1, 0.6], ["-0.1", "w_style[1]"]),
-        ("w_style", [0, 0, 0], ["above 0", "zeros"]),
-        ("w_style", [1, 1], ["[3] or [B,3]", "[2]"]),
-        ("w_style", "fast", ["conservative, balanced, efficient, comfortable", "'fast'"]),
-        ("w_style", ["efficient"] * 3, ["number at w_style[0]", "'efficient'"]),
-        ("num_samples", 0, ["1 to 512", "0"]),
-        ("num_samples", 513, ["1 to 512", "513"]),
-        ("num_samples", 64.0, ["integer", "64.0"]),
-        ("num_samples", "64", ["integer", "the string '64'"]),
-        ("num_samples", True, ["integer", "the boolean true"]),
-        ("robot_radius", -0.1, ["[0, 5] m", "-0.1"]),
-        ("robot_radius", "wide", ["a number", "'wide'"]),
-        ("robot_radius", NAN, ["nan"]),
-        ("v_max", 0, ["(0, 100] m/s"]),
-        ("a_max", False, ["the boolean false"]),
-        ("horizon_s", 10**400, ["an integer of 1329 bits"]),
-        ("model", 3, ["a string", "3"]),
-        ("model", "", ["1 to 128"]),
-        ("request_id", "a\nb", ["printable"]),
-        ("seed", -1, ["from 0", "-1"]),
-        ("seed", 2**63, ["9223372036854775807", "9223372036854775808"]),
-        ("budget_ms", 0, ["ms", "0"]),
-        ("sampler", "rk4", ["an object", "'rk4'"]),
-        ("sampler.method", "rk5", ["rk4, heun, midpoint, euler", "'rk5'"]),
-        ("sampler.schedule", "9step", ["8step", "9step"]),
-        ("sampler.schedule", [0, 0.5, 0.5, 1], ["strictly increasing"]),
-        ("sampler.schedule", [0, 0.5], ["last time of 1", "0.5"]),
-        ("sampler.schedule", [0.2, 1], ["first time of 0", "0.2"]),
-        ("sampler.schedule", [1], ["[K]", "[1]"]),
-        ("sampler.schedule", {"steps": 4}, ["unknown field"]),
-        ("sampler.schedule.uniform", 0, ["1 to 100", "0"]),
-        ("refine.smooth", 1, ["true or false", "1"]),
-        ("refine.safety_margin", -1, ["[0, 5] m"]),
-        ("refine.guidance", "x", ["a number"]),
-        ("refine.barrier", "yes", ["true or false", "'yes'"]),
-        ("refine.certified_margin", 6, ["[0, 5] m", "6"]),
-        ("warm_start.tau", 1, ["(0, 1)", "1"]),
-        ("warm_start.dt", 0, ["(0, 600] s", "0"]),
-        ("warm_start.dt", "0.1", ["(0, 600] s", "'0.1'"]),
-        ("warm_start.dt", [0.1, 0.2], ["(0, 600] s", "a list of 2"]),
-        ("warm_start.trajectory", [[0, 0, 0, 0, 0, 0, 0]] * 4, ["[T,2] to [T,6]", "[4, 7]"]),
-        ("warm_start.trajectory", None, ["required"]),
-        ("cost_map", [[0]], ["an object", "a list of 1"]),
-        ("cost_map.data", np.zeros((16, 20)).tolist(), ["[C,H,W] or [B,C,H,W]", "[16, 20]"]),
-        ("cost_map.data", np.zeros((1, 8, 20)).tolist(), ["16 to 512", "8 and 20"]),
-        ("cost_map.data", np.zeros((17, 16, 16)).tolist(), ["C from 1 to 16", "17"]),
-        ("cost_map.channel_weights", [1.0], ["[0], one for each channel but the first", "[1]"]),
-        ("cost_penalty", 101, ["[0, 100]", "101"]),
-        ("cost_penalty", -0.5, ["[0, 100]", "-0.5"]),
-        ("clear_start", 1, ["true or false", "1"]),
-        ("goal_tolerance", 0.5, ["an object", "0.5"]),
-        ("goal_tolerance.position", -1, ["[0, 100] m", "-1"]),
-        ("goal_tolerance.position", None, ["required"]),
-        ("goal_tolerance", {"position": 1, "heading": 4}, ["[0, 3.14159] rad", "4"]),
-        ("cost_map.data", np.zeros((65, 1, 16, 16)).tolist(), ["B from 1 to 64", "65"]),
-        ("cost_map.data", np.full((1, 16, 20), 1.5).tolist(), ["[0, 1]", "1.5"]),
-        ("cost_map.data", np.zeros((1, 1, 1, 16, 20)).tolist(), ["deeper"]),
-        ("cost_map.resolution", 0, ["[1e-06, 100] m/cell", "0"]),
-        ("cost_map.resolution", 1e-40, ["[1e-06, 100] m/cell", "1e-40"]),
-        ("cost_map.resolution", None, ["required"]),
-        ("cost_map.origin", [0, 0, 0], ["[2]", "[3]"]),
-        ("cost_map.origin", [0, INF], ["finite"]),
+        *(("fields", *case) for case in BAD_FIELDS),
+        *(("heading_fields", *case) for case in BAD_FIELDS_WITH_HEADING),
     ],
 )
 def test_a_bad_field_is_named_with_what_was_expected_and_what_came(
-    fields: dict[str, Any], field: str, value: Any, words: list[str]
+    request: pytest.FixtureRequest, given: str, field: str, value: Any, words: list[str]
 ) -> None:
-    *path, last = field.split(".")
-    if path[:1] == ["warm_start"]:
-        fields["warm_start"] = {"trajectory": [[0, 0], [1, 1]]}
-    parent = fields
-    for name in path:
-        parent = parent.setdefault(name, {})
-    parent[last] = value
+    fields: dict[str, Any] = request.getfixturevalue(given)
 
-    error = refusal(fields)
+    error = refusal(with_value(fields, field, value))
 
     named = error.field or ""
     assert named == field or named.startswith(f"{field}.")
@@ -308,36 +204,6 @@ def test_a_heading_is_no_place_on_the_map(heading_fields: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "words"),
-    [
-        ("x_goal", [3, 0.5, 0, 0], ["[6] or [B,6]", "got [4]"]),
-        ("x_goal", [[3, 0.5, 0, 0]] * 2, ["[6] or [B,6]", "got [2, 4]"]),
-        ("x_curr", [-3, 9, 0, 0, 0, 0, 0, 0, 0], ["on the map", "(-3, 9)"]),
-        ("x_curr", [0, 0, 0, 0, 0, 500, 0, 0, 0], ["[-100, 100]", "500.0 at x_curr[5]"]),
-        ("warm_start", {"trajectory": [[0] * 2] * 4}, ["[T,3] to [T,9]", "[4, 2]"]),
-        ("warm_start", {"trajectory": [[0] * 10] * 4}, ["[T,3] to [T,9]", "[4, 10]"]),
-    ],
-)
-def test_with_heading_a_bad_field_is_named_too(
-    heading_fields: dict[str, Any], field: str, value: Any, words: list[str]
-) -> None:
-    error = refusal(heading_fields | {field: value})
-
-    assert (error.field or "").startswith(field)
-    assert [word for word in words if word not in error.message] == []
-
-
-@pytest.mark.parametrize("field", ["cost_map", "x_curr", "x_goal"])
-def test_a_missing_field_is_named(fields: dict[str, Any], field: str) -> None:
-    del fields[field]
-
-    error = refusal(fields)
-
-    assert error.field == field
-    assert "required" in error.message
-
-
-@pytest.mark.parametrize(
     ("body", "field", "words"),
     [
         ({}, "body", "expected cost_map, x_curr and x_goal, or inputs, got none of them"),
@@ -358,25 +224,6 @@ def test_without_a_map_a_bad_field_is_named_too(
 
     assert error.field == field
     assert words in error.message
-
-
-@pytest.mark.parametrize(
-    ("path", "near"),
-    [("x_cur", "x_curr"), ("cost_map.resolutoin", "resolution"), ("refine.smoth", "smooth")],
-)
-def test_an_unknown_field_is_named_with_the_nearest_known(
-    fields: dict[str, Any], path: str, near: str
-) -> None:
-    *parents, name = path.split(".")
-    parent = fields
-    for key in parents:
-        parent = parent.setdefault(key, {})
-    parent[name] = 1
-
-    error = refusal(fields)
-
-    assert error.field == path
-    assert f"did you mean {near!r}?" in error.message
 
 
 @pytest.mark.parametrize("number", [2**53 + 1, -(2**63), 2**63 - 1])
@@ -454,28 +301,16 @@ def test_the_border_of_the_map_belongs_to_it(fields: dict[str, Any]) -> None:
     assert AnchorRequest.from_fields(fields).num_scenes == 1
 
 
-def test_a_warm_start_may_begin_later(fields: dict[str, Any]) -> None:
-    fields |= {
-        "sampler": {"schedule": [0.8, 1]},
-        "warm_start": {"trajectory": [[0, 0], [1, 1]]},
-    }
+@pytest.mark.parametrize("given", [{}, {"dt": np.float32(0.5)}])
+def test_a_warm_start_may_begin_later_and_have_its_own_time_step(
+    fields: dict[str, Any], given: dict[str, Any]
+) -> None:
+    fields |= {"sampler": {"schedule": [0.8, 1]}}
+    warm_start: Any = {"trajectory": [[0, 0], [1, 1]], **given}
 
-    request = AnchorRequest.from_fields(fields)
-
-    assert request.warm_start is not None
-    assert (request.warm_start.tau, request.warm_start.dt) == (0.8, None)
-
-
-def test_a_warm_start_may_say_how_far_its_samples_lie_apart(fields: dict[str, Any]) -> None:
-    told = {"warm_start": {"trajectory": [[0, 0], [1, 1]], "dt": np.float32(0.5)}}
-
-    request = AnchorRequest.from_fields(fields | told)
-
-    assert request.warm_start is not None
-    assert request.warm_start.dt == 0.5
-    again = AnchorRequest.from_fields(fields | {"warm_start": request.warm_start}).warm_start
-    assert again is not None
-    assert again.dt == 0.5
+    for _ in range(2):  # from its fields, and as it was read
+        warm_start = AnchorRequest.from_fields(fields | {"warm_start": warm_start}).warm_start
+        assert (warm_start.tau, warm_start.dt) == (0.8, given.get("dt"))
 
 
 @pytest.mark.parametrize(

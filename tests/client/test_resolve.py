@@ -47,22 +47,12 @@ def test_what_is_left_open_is_the_cards(fields: dict[str, Any], card: ModelCard)
 def test_a_partial_choice_keeps_the_rest_of_the_cards(
     fields: dict[str, Any], card: ModelCard
 ) -> None:
-    fields |= {"sampler": {"schedule": "8step"}, "refine": {"project": False}}
+    fields |= {"sampler": {"schedule": "8step"}, "refine": {"smooth": False}}
 
     resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
 
     assert resolved.sampler == OdeSpec("rk4", EIGHT_STEP_SCHEDULE)
-    assert resolved.refine == RefineSpec(True, False, 0.05, 0.0)
-
-
-@pytest.mark.parametrize("moves", ["project", "barrier"])
-def test_an_unfitted_spline_cannot_be_moved(
-    fields: dict[str, Any], card: ModelCard, moves: str
-) -> None:
-    fields["refine"] = {"smooth": False, "project": False} | {moves: True}
-    with pytest.raises(InvalidRequest, match=f"expected true, or refine.{moves} false") as caught:
-        resolve_for_card(AnchorRequest.from_fields(fields), card)
-    assert caught.value.field == "refine.smooth"
+    assert resolved.refine == RefineSpec(False, True, 0.05, 0.0)
 
 
 def test_uniform_steps_become_times(fields: dict[str, Any], card: ModelCard) -> None:
@@ -79,65 +69,58 @@ def test_resolving_twice_changes_nothing(fields: dict[str, Any], card: ModelCard
     assert resolve_for_card(once, card).field_values() == once.field_values()
 
 
-def test_an_adjustable_limit_is_the_requests(fields: dict[str, Any], card: ModelCard) -> None:
-    resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"robot_radius": 0.4}), card)
-
-    assert limits_of(resolved).robot_radius == 0.4
-
-
-def test_without_a_horizon_each_anchor_has_its_own_duration(
-    fields: dict[str, Any], free: ModelCard
-) -> None:
-    resolved = resolve_for_card(AnchorRequest.from_fields(fields), free)
-
-    assert limits_of(resolved).horizon_s is None
-
-
 def test_limits_inside_their_ranges_are_the_requests(
-    fields: dict[str, Any], free: ModelCard
+    fields: dict[str, Any], card: ModelCard, free: ModelCard
 ) -> None:
     asked = {"robot_radius": 0.1, "v_max": 0.26, "a_max": 8.0, "horizon_s": 12.0}
+    all_of_them = resolve_for_card(AnchorRequest.from_fields(fields | asked), free)
+    one = resolve_for_card(AnchorRequest.from_fields(fields | {"robot_radius": 0.4}), card)
+    none = resolve_for_card(AnchorRequest.from_fields(fields), free)
 
-    resolved = resolve_for_card(AnchorRequest.from_fields(fields | asked), free)
-
-    assert asdict(limits_of(resolved)) == asked
+    assert asdict(limits_of(all_of_them)) == asked
+    assert limits_of(one).robot_radius == 0.4
+    assert limits_of(none).horizon_s is None  # each anchor has its own duration
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "words"),
+    ("kind", "field", "value", "words"),
     [
-        ("v_max", 9.0, "expected 0.1 to 6 m/s, for which lines 1.2.3 was trained, got 9"),
-        ("a_max", 0.2, r"expected 0.5 to 8 m/s\^2, for which lines 1.2.3 was trained, got 0.2"),
-        ("robot_radius", 0.7, "expected 0.1 to 0.6 m, for which lines 1.2.3 was trained, got 0.7"),
-        ("horizon_s", 90, "expected 1 to 60 s, for which lines 1.2.3 was trained, got 90"),
+        ("free", "v_max", 9.0, "expected 0.1 to 6 m/s, for which lines 1.2.3 was trained, got 9"),
+        ("free", "a_max", 0.2, r"expected 0.5 to 8 m/s\^2, .* lines 1.2.3 was trained, got 0.2"),
+        ("free", "robot_radius", 0.7, "expected 0.1 to 0.6 m, .* 1.2.3 was trained, got 0.7"),
+        ("free", "horizon_s", 90, "expected 1 to 60 s, for which lines 1.2.3 was trained, got 90"),
+        ("rigid", "horizon_s", 8, "expected none, as each anchor has its own, .* got 8"),
+        ("card", "v_max", 3.0, "expected .*lines 1.2.3.*got 3"),
+        ("card", "a_max", 1.0, "expected .*lines 1.2.3.*got 1"),
+        ("card", "horizon_s", 4, "expected .*lines 1.2.3.*got 4"),
     ],
 )
-def test_a_limit_outside_its_range_is_refused_by_name(
-    fields: dict[str, Any], free: ModelCard, field: str, value: float, words: str
+def test_a_limit_outside_its_range_or_fixed_is_refused_by_name(
+    fields: dict[str, Any],
+    card: ModelCard,
+    free: ModelCard,
+    kind: str,
+    field: str,
+    value: float,
+    words: str,
 ) -> None:
+    rigid = replace(free, conditioning=replace(free.cost_map, ranges={}))
+    made_for = {"card": card, "free": free, "rigid": rigid}[kind]
     with pytest.raises(InvalidRequest, match=f"^{field}: {words}$") as caught:
-        resolve_for_card(AnchorRequest.from_fields(fields | {field: value}), free)
+        resolve_for_card(AnchorRequest.from_fields(fields | {field: value}), made_for)
     assert caught.value.field == field
 
 
 @pytest.mark.parametrize("edge", [0.1, 6.0])
-def test_the_ends_of_a_range_are_met_in_float32_too(
-    fields: dict[str, Any], free: ModelCard, edge: float
+def test_the_ends_of_a_range_and_a_fixed_limit_are_met_in_float32_too(
+    fields: dict[str, Any], card: ModelCard, free: ModelCard, edge: float
 ) -> None:
+    fixed = resolve_for_card(AnchorRequest.from_fields(fields | {"v_max": 2.0 + 1e-7}), card)
+    assert limits_of(fixed).v_max == 2.0
     for asked in (edge * (1 - 1e-7), edge * (1 + 1e-7)):
         resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"v_max": asked}), free)
         assert limits_of(resolved).v_max == pytest.approx(edge, rel=2e-7)
         assert 0.1 <= limits_of(resolved).v_max <= 6.0
-
-
-def test_a_horizon_where_each_anchor_keeps_its_own_is_refused(
-    fields: dict[str, Any], free: ModelCard
-) -> None:
-    card = replace(free, conditioning=replace(free.cost_map, ranges={}))
-    words = "horizon_s: expected none, as each anchor has its own, .* got 8"
-
-    with pytest.raises(InvalidRequest, match=words):
-        resolve_for_card(AnchorRequest.from_fields(fields | {"horizon_s": 8}), card)
 
 
 WARM = {"trajectory": [[-3.0, 0.5], [0.0, 0.5], [3.0, 0.5]]}
@@ -171,17 +154,6 @@ def test_own_time_steps_may_be_named_as_an_output(
         resolve_for_card(request, card)
 
 
-@pytest.mark.parametrize(("field", "value"), [("v_max", 3.0), ("a_max", 1.0), ("horizon_s", 4)])
-def test_a_fixed_limit_is_refused_by_name(
-    fields: dict[str, Any], card: ModelCard, field: str, value: float
-) -> None:
-    with pytest.raises(
-        InvalidRequest, match=f"{field}: expected .*lines 1.2.3.*got {value:g}"
-    ) as e:
-        resolve_for_card(AnchorRequest.from_fields(fields | {field: value}), card)
-    assert e.value.field == field
-
-
 PLANAR = {"x_curr": [-3.0, 0.5, *[0.0] * 4], "x_goal": [3.0, 0.5, *[0.0] * 2]}
 TURNING = {"x_curr": [-3.0, 0.5, *[0.0] * 7], "x_goal": [3.0, 0.5, *[0.0] * 4]}
 
@@ -208,11 +180,3 @@ def test_a_heading_meets_a_card_that_has_one(fields: dict[str, Any], card: Model
     request = AnchorRequest.from_fields(fields | TURNING)
 
     assert resolve_for_card(request, of_dim(card, 3)).on_map.dim == 3
-
-
-def test_a_limit_that_went_through_float32_is_the_same(
-    fields: dict[str, Any], card: ModelCard
-) -> None:
-    resolved = resolve_for_card(AnchorRequest.from_fields(fields | {"v_max": 2.0 + 1e-7}), card)
-
-    assert limits_of(resolved).v_max == 2.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -51,14 +51,8 @@ class Stage:
         self._failures = failures
         self._takes_s = takes_s
 
-    def send(
-        self,
-        method: str,
-        path: str,
-        headers: Mapping[str, str],
-        body: bytes | None,
-        timeout_s: float,
-    ) -> HttpAnswer:
+    def send(self, *sent: Any, **_: Any) -> HttpAnswer:
+        method, path, headers, body, timeout_s = sent
         assert (method, path) == (("GET", "/v2/models") if body is None else ("POST", "/anchors"))
         assert (headers["Accept"], timeout_s) == ("application/json", 30.0)
         self.sent.append(json.loads(body or b"{}"))

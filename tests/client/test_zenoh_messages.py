@@ -6,8 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from anchorflow_client import InvalidAnswer, InvalidRequest, ModelCard, zenoh_messages
 from anchorflow_client.zenoh_messages import (

@@ -20,8 +20,15 @@ from anchorflow_docs.field_sources import (
     request_fields,
     schema_fields,
 )
-from anchorflow_docs.tables import HELD, endpoints, failures, field_table, refusals, table
-from anchorflow_docs.tables import Field as Row
+from anchorflow_docs.tables import (
+    HELD,
+    Field as Row,
+    endpoints,
+    failures,
+    field_table,
+    refusals,
+    table,
+)
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.http.schemas import AnchorAnswerBody
 

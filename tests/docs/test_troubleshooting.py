@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 from image_planner import write_image_bundle
 
+from anchorflow_benchmarks.programs import free_port
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.main import main
 from anchorflow_client import (
@@ -150,9 +151,7 @@ def superseded(_: Around) -> None:
 
 
 def nobody_listens(_: Around) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
-    AnchorClient(f"http://127.0.0.1:{port}").plan(**GOOD)
+    AnchorClient(f"http://127.0.0.1:{free_port()}").plan(**GOOD)
 
 
 def no_word(_: Around) -> None:

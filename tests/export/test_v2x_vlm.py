@@ -10,7 +10,6 @@ import io
 import json
 import re
 import shutil
-import socket
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,6 +24,7 @@ from small_v2x import IMAGE_SIZE, PROMPTS, small_sizes
 from starlette.testclient import TestClient
 
 from anchorflow_benchmarks.driving.pairs import judged_crossings, pair_tables
+from anchorflow_benchmarks.programs import free_endpoint
 from anchorflow_client import (
     AnchorBatch,
     AnchorRequest,
@@ -174,8 +174,7 @@ def _payload(answer: Any, length: int | None = None) -> Payload:
 
 def test_zenoh_carries_pictures_and_text(engine: Engine) -> None:
     service = PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=1))
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    endpoint = free_endpoint()
     session = open_session(ZenohSettings(listen=(endpoint,)))
     app = create_app(service, endpoints=[ZenohEndpoint(service, session)])
     asked = inputs(3)

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from anchorflow_driving.pdm.lqr_rollout import interpolate, track
-from anchorflow_driving.window import WHEELBASE as OF_NAVSIM
-from anchorflow_driving.window import EgoState
+from anchorflow_driving.window import WHEELBASE as OF_NAVSIM, EgoState
 from anchorflow_models.goalflow.ways import roll_out
 from anchorflow_models.lqr_rollout import WHEELBASE, Start, driven, halved
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import AsyncIterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,10 +12,12 @@ import httpx
 from anyio.from_thread import BlockingPortal, start_blocking_portal
 from fastapi import FastAPI
 
-from anchorflow_client import AnchorClient, JsonCodec, OipCodec
+from anchorflow_benchmarks.programs import free_endpoint
+from anchorflow_client import AnchorClient, Codec, JsonCodec, OipCodec, Payload
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
+from anchorflow_client.zenoh_messages import AnswerAttachment, RequestAttachment, anchors_key
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
@@ -25,6 +26,7 @@ from anchorflow_service.repository import BundleFolders, Repository
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 TRANSPORTS = ("json", "binary", "zenoh")
+LENGTH = "Inference-Header-Content-Length"
 
 
 class InProcess:
@@ -97,12 +99,6 @@ def app_of(folder: Path) -> FastAPI:
     )
 
 
-def free_endpoint() -> str:
-    """Return a zenoh endpoint of this machine without a listener."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-
-
 @contextmanager
 def on_zenoh(planning: PlanningService, **options: Any) -> Iterator[str]:
     """Open a service on a zenoh network of its own; return where it listens."""
@@ -126,3 +122,27 @@ def client_over(transport: str, planning: PlanningService) -> Iterator[BaseClien
         AnchorClient("http://test", transport=app, codec=codec) as client,
     ):
         yield client
+
+
+def sent_over_http(app: InProcess, codec: Codec, sent: Payload) -> Payload:
+    """Return the answer of `POST /anchors`; an error has no header."""
+    headers = {"Content-Type": codec.content_type}
+    if sent.header_length is not None:
+        headers[LENGTH] = str(sent.header_length)
+    answer = app.request("POST", "/anchors", headers=headers, content=sent.body)
+    length = answer.headers.get(LENGTH)
+    return Payload(answer.content, None if length is None else int(length))
+
+
+def sent_over_zenoh(endpoint: str, model: str, sent: Payload) -> Payload:
+    """Return the answer of the only replica; an error has no header."""
+    assert sent.header_length is not None
+    attachment = RequestAttachment(sent.header_length).to_bytes()
+    with open_session(ZenohSettings(mode="client", connect=(endpoint,)), wait_s=10) as session:
+        key = anchors_key(model)
+        (reply,) = session.get(key, payload=sent.body, attachment=attachment, timeout=20.0)
+    if reply.err is not None:
+        return Payload(reply.err.payload.to_bytes())
+    assert reply.ok is not None
+    said = AnswerAttachment.from_bytes(reply.ok.attachment.to_bytes())
+    return Payload(reply.ok.payload.to_bytes(), said.header_length)

@@ -8,8 +8,7 @@ from unittest.mock import patch
 
 import torch
 
-from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig, create_v2x_vlm
-from anchorflow_models.v2x_vlm import config as sizes
+from anchorflow_models.v2x_vlm import V2XVLM, V2XConfig, config as sizes, create_v2x_vlm
 from anchorflow_training.v2x.text import opened, train_tokenizer
 
 SMALL = sizes.FlorenceSize(

@@ -55,19 +55,13 @@ def batch_for(request: AnchorRequest) -> AnchorBatch:
     paths[..., 0] = speeds[:, None] * times
     velocities = np.zeros_like(paths)
     velocities[..., 0] = speeds[:, None]
-    return AnchorBatch(
-        arrays={
-            "trajectories": paths,
-            "velocities": velocities,
-            "accelerations": np.zeros_like(paths),
-            "scores": speeds,
-            "clearance": np.ones(2, np.float32),
-            "safe": np.ones(2, bool),
-        },
+    return made_batch(
+        paths,
+        velocities=velocities,
+        accelerations=np.zeros_like(paths),
+        scores=speeds,
         dt=DT,
         seed=0,
-        model=ModelId("lines", "1", "ab"),
-        timing_ms={},
         request_id=request.request_id,
     )
 

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import pytest
 from image_planner import write_image_bundle
-from served import free_endpoint
 from straight_lines import CARD, FREE_CARD, SteppingEngine, StraightLines
 from tiny_bundle import FREE_RANGES, write_graphs_of, write_tiny_bundle
 from written_graphs import set_in_manifest
 
+from anchorflow_benchmarks.programs import free_endpoint
 from anchorflow_client import AnchorBatch, AnchorRequest
 from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
 
@@ -122,12 +122,6 @@ def fields() -> dict[str, Any]:
         "num_samples": 4,
         "seed": 1,
     }
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    """Run the tests that are marked `anyio` on asyncio alone."""
-    return "asyncio"
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ how many models answered.
 from __future__ import annotations
 
 import json
-import socket
 import sys
 import time
 from contextlib import ExitStack
@@ -17,6 +16,7 @@ import ray  # pyright: ignore[reportMissingImports] - an extra that not every ve
 from ray import serve  # pyright: ignore[reportMissingImports]
 
 from anchorflow_benchmarks.load import Ask, asking
+from anchorflow_benchmarks.programs import free_port
 from anchorflow_client.contract import AnchorRequest, CostMap
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.retry import RetryingClient
@@ -41,8 +41,7 @@ def replicas() -> list[str]:
 
 def main() -> None:
     """Serve, send requests, kill a replica, and print the results."""
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     serve.start(http_options={"host": "127.0.0.1", "port": port})
     serve.run(app(RaySettings(min_replicas=2, max_replicas=2)))

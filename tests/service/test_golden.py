@@ -14,32 +14,23 @@ from __future__ import annotations
 
 import json
 import os
-import socket
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
-from anyio.from_thread import start_blocking_portal
+from served import TRANSPORTS, in_process, on_zenoh, sent_over_http, sent_over_zenoh
 
 from anchorflow_client import AnchorRequest, JsonCodec, OipCodec, Payload
 from anchorflow_client.oip_message import unpack_header
-from anchorflow_client.zenoh_client import ZenohSettings
-from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_client.zenoh_messages import AnswerAttachment, RequestAttachment, anchors_key
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService
-from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 GOLDEN = Path(__file__).parent / "golden"
 WRITES = "ANCHORFLOW_WRITE_GOLDEN" in os.environ
 ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
-LENGTH = "Inference-Header-Content-Length"
 
 REST = [0.0, 0.0]
 START, GOAL = [-3.0, 0.1, 0.5, 0.0, *REST], [3.0, 0.2, *REST]
@@ -53,13 +44,6 @@ REQUESTS: dict[str, dict[str, Any]] = {
     "horizon": COMMON | {"horizon_s": 11.0, "refine": {"project": True}},
 }
 
-Post = Callable[[str, Payload], httpx.Response]
-
-
-@pytest.fixture(params=REQUESTS)
-def name(request: pytest.FixtureRequest) -> str:
-    return request.param
-
 
 @pytest.fixture(scope="module")
 def engine(free_bundle_built: Path) -> Any:
@@ -69,26 +53,6 @@ def engine(free_bundle_built: Path) -> Any:
 @pytest.fixture
 def planning(engine: Any) -> PlanningService:
     return PlanningService({engine.card.name: engine}, default=engine.card.name)
-
-
-@pytest.fixture
-def post(planning: PlanningService) -> Iterator[Post]:
-    """Posts a body to /anchors of the application in this process."""
-    app = create_app(planning)
-
-    async def send(content_type: str, sent: Payload) -> httpx.Response:
-        headers = {"Content-Type": content_type}
-        if sent.header_length is not None:
-            headers[LENGTH] = str(sent.header_length)
-        transport = httpx.ASGITransport(app=app)
-        async with httpx.AsyncClient(transport=transport, base_url="http://test") as client:
-            return await client.post("/anchors", headers=headers, content=sent.body)
-
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
-    ):
-        yield lambda content_type, sent: portal.call(send, content_type, sent)
 
 
 def asked(name: str) -> AnchorRequest:
@@ -132,8 +96,9 @@ def processor() -> str:
     return ", ".join([facts.get("model name", "unknown"), *told, *vectors])
 
 
-def in_json(answer: bytes) -> dict[str, Any]:
+def in_json(payload: Payload) -> dict[str, Any]:
     """The text of every array of a JSON answer, digit by digit, and what it says beside them."""
+    answer = payload.body
     fields = json.loads(answer)
     arrays = {}
     for name in ARRAYS:
@@ -150,9 +115,9 @@ def in_json(answer: bytes) -> dict[str, Any]:
     return {"arrays": arrays, "told": told | {"model": model}}
 
 
-def in_binary(body: bytes, length: int | None) -> dict[str, Any]:
+def in_binary(answer: Payload) -> dict[str, Any]:
     """The header of a binary answer, and its tensors in hexadecimal digits."""
-    header, data = unpack_header(Payload(body, length))
+    header, data = unpack_header(answer)
     leaves = {k: v for k, v in header["parameters"].items() if not k.startswith("timing_ms")}
     del leaves["model.sha256"]
     text = bytes(data).hex()
@@ -160,38 +125,17 @@ def in_binary(body: bytes, length: int | None) -> dict[str, Any]:
     return {"header": {**header, "parameters": leaves}, "hex": lines}
 
 
-def test_json_answers_have_the_same_digits(post: Post, name: str) -> None:
-    codec = JsonCodec()
-    answer = post(codec.content_type, codec.encode_request(asked(name))).content
+@pytest.mark.parametrize("name", REQUESTS)
+@pytest.mark.parametrize("transport", TRANSPORTS)
+def test_answers_have_the_same_digits(planning: PlanningService, transport: str, name: str) -> None:
+    codec = JsonCodec() if transport == "json" else OipCodec()
+    sent = codec.encode_request(asked(name))
+    if transport == "zenoh":
+        with on_zenoh(planning) as endpoint:
+            answer = sent_over_zenoh(endpoint, planning.engines.default, sent)
+    else:
+        with in_process(create_app(planning)) as app:
+            answer = sent_over_http(app, codec, sent)
 
-    came = in_json(answer)
-    assert came == recorded(name, "text", came)
-
-
-def test_binary_answers_have_the_same_bytes(post: Post, name: str) -> None:
-    codec = OipCodec()
-    answer = post(codec.content_type, codec.encode_request(asked(name)))
-
-    came = in_binary(answer.content, int(answer.headers[LENGTH]))
-    assert came == recorded(name, "binary", came)
-
-
-def test_zenoh_answers_have_the_same_bytes(planning: PlanningService, name: str) -> None:
-    sent = OipCodec().encode_request(asked(name))
-    assert sent.header_length is not None
-    attachment = RequestAttachment(sent.header_length).to_bytes()
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        address = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-    with start_blocking_portal() as portal, planning, ExitStack() as stack:
-        replica = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(address,))))
-        stack.enter_context(portal.wrap_async_context_manager(replica))
-        session = open_session(ZenohSettings(connect=(address,)), wait_s=10)
-        stack.callback(session.close)
-
-        key = anchors_key(planning.engines.default)
-        (reply,) = session.get(key, payload=sent.body, attachment=attachment)
-
-    assert reply.ok is not None
-    said = AnswerAttachment.from_bytes(reply.ok.attachment.to_bytes())
-    came = in_binary(reply.ok.payload.to_bytes(), said.header_length)
-    assert came == recorded(name, "binary", came)
+    came = in_json(answer) if transport == "json" else in_binary(answer)
+    assert came == recorded(name, "text" if transport == "json" else "binary", came)

@@ -8,10 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 from small_configs import BACKBONE as SMALL
-from tiny_diffusiondrive import TINY as TINY_DIFFUSIONDRIVE
-from tiny_diffusiondrive import tiny_diffusiondrive
-from tiny_wote import TINY as TINY_WOTE
-from tiny_wote import tiny_wote
+from tiny_diffusiondrive import TINY as TINY_DIFFUSIONDRIVE, tiny_diffusiondrive
+from tiny_wote import TINY as TINY_WOTE, tiny_wote
 from torch import nn
 from transformers import ResNetBackbone, ResNetConfig
 

@@ -49,10 +49,10 @@ OCCUPIED = 0.5
 """Occupancy from which on a cell is an obstacle."""
 STYLES: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
-        "conservative": (0.7, 0.1, 0.2),  # far from obstacles, and slow
+        "conservative": (0.8, 0.1, 0.1),  # far from obstacles, and slow
         "balanced": (0.4, 0.3, 0.3),
-        "efficient": (0.2, 0.5, 0.3),  # short and quick
-        "comfortable": (0.3, 0.2, 0.5),  # little jerk
+        "efficient": (0.1, 0.8, 0.1),  # short and quick
+        "comfortable": (0.1, 0.1, 0.8),  # little jerk
     }
 )
 """Weights of safety, energy and smoothness by the name of the style."""
@@ -126,10 +126,32 @@ COST_MAP = Group(
     },
 )
 Spec = TypeVar("Spec")
+OwnChoice = TypeVar("OwnChoice", bound="CardChoice")
+
+
+class CardChoice:
+    """Fields of a request that replace those of a card; None leaves a field to the card."""
+
+    @classmethod
+    def from_fields(cls: type[OwnChoice], value: Any) -> OwnChoice:
+        """Check the JSON object."""
+        name, rows = ("sampler", SAMPLER) if issubclass(cls, SamplerChoice) else ("refine", REFINE)
+        return cls(**rows.read(value.given if isinstance(value, cls) else value, name))
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """Return the fields that are not left to the card."""
+        rows = SAMPLER if isinstance(self, SamplerChoice) else REFINE
+        asked = {name: getattr(self, name) for name in rows.fields}
+        return {name: value for name, value in asked.items() if value is not None}
+
+    def over(self, card: Spec) -> Spec:
+        """Return the card's sampler, or refinement, with this choice."""
+        return replace(card, **self.given)  # type: ignore[type-var]
 
 
 @dataclass(frozen=True)
-class SamplerChoice:
+class SamplerChoice(CardChoice):
     """The solver of the flow and the times it visits."""
 
     method: Annotated[str | None, Text("Method of integration.", METHODS)] = None
@@ -147,19 +169,9 @@ class SamplerChoice:
         ),
     ] = None
 
-    @classmethod
-    def from_fields(cls, value: Any) -> "SamplerChoice":
-        """Check the JSON object."""
-        value = given(value) if isinstance(value, SamplerChoice) else value
-        return cls(**SAMPLER.read(value, "sampler"))
-
-    def over(self, card: Spec) -> Spec:
-        """Return the card's sampler with this choice."""
-        return replace(card, **given(self))  # type: ignore[type-var]
-
 
 @dataclass(frozen=True)
-class RefineChoice:
+class RefineChoice(CardChoice):
     """The refinement of samples."""
 
     smooth: Annotated[bool | None, Flag("Fit the spline with fixed ends.")] = None
@@ -184,16 +196,6 @@ class RefineChoice:
             "Distance beyond robot_radius that every anchor called safe keeps.", CERTIFIED_MARGIN
         ),
     ] = None
-
-    @classmethod
-    def from_fields(cls, value: Any) -> "RefineChoice":
-        """Check the JSON object."""
-        value = given(value) if isinstance(value, RefineChoice) else value
-        return cls(**REFINE.read(value, "refine"))
-
-    def over(self, card: Spec) -> Spec:
-        """Return the card's refinement with this choice."""
-        return replace(card, **given(self))  # type: ignore[type-var]
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,13 +275,6 @@ GOAL_TOLERANCE = Group(
     rows_of(GoalTolerance),
 )
 WARM_START = Group("A trajectory to start from in place of noise.", rows_of(WarmStart))
-
-
-def given(choice: SamplerChoice | RefineChoice) -> dict[str, Any]:
-    """Return the fields of a choice that are not left to the card."""
-    rows = SAMPLER if isinstance(choice, SamplerChoice) else REFINE
-    asked = {name: getattr(choice, name) for name in rows.fields}
-    return {name: value for name, value in asked.items() if value is not None}
 
 
 MAP_FIELDS: dict[str, Row] = {

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.contract.card import TensorSpec
 from anchorflow_client.contract.checks import (
     DTYPES,
     EVERY_NUMBER,
@@ -32,7 +33,6 @@ from anchorflow_client.contract.checks import (
     within,
 )
 from anchorflow_client.contract.fields import MAX_INPUT_TEXT_LENGTH, MAX_SCENES
-from anchorflow_client.contract.kinds import TensorSpec
 from anchorflow_client.errors import InvalidRequest
 
 TEXT = "text"

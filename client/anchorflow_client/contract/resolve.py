@@ -8,7 +8,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from anchorflow_client.contract.card import ModelCard
+from anchorflow_client.contract.card import (
+    CostMapSpec,
+    FinishSpec,
+    LimitsSpec,
+    ModelCard,
+    OdeSpec,
+    RefineSpec,
+    SamplerSpec,
+    TruncatedDiffusionSpec,
+    VocabularySpec,
+)
 from anchorflow_client.contract.checks import choice, vector_shape
 from anchorflow_client.contract.fields import (
     DEFAULT_COST_PENALTY,
@@ -23,16 +33,6 @@ from anchorflow_client.contract.fields import (
     WarmStart,
 )
 from anchorflow_client.contract.inputs import bind
-from anchorflow_client.contract.kinds import (
-    CostMapSpec,
-    FinishSpec,
-    LimitsSpec,
-    OdeSpec,
-    RefineSpec,
-    SamplerSpec,
-    TruncatedDiffusionSpec,
-    VocabularySpec,
-)
 from anchorflow_client.contract.request import AnchorRequest
 from anchorflow_client.errors import InvalidRequest
 
@@ -150,13 +150,7 @@ def _sampler(request: AnchorRequest, card: ModelCard) -> SamplerSpec:
 
 def _finish(request: AnchorRequest, card: ModelCard) -> FinishSpec:
     if isinstance(card.finish, RefineSpec):
-        asked = request.refine or RefineChoice()
-        finish = asked.over(card.finish)
-        if asked.smooth is False and (finish.project or finish.barrier):
-            moves = "project" if finish.project else "barrier"
-            message = f"expected true, or refine.{moves} false: it moves the fitted spline"
-            raise InvalidRequest(f"{message}, got false", "refine.smooth")
-        return finish
+        return (request.refine or RefineChoice()).over(card.finish)
     if request.refine is not None:
         raise _not_chosen(card, "refine", card.finish.kind)
     return card.finish

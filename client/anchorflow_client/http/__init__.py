@@ -12,6 +12,7 @@ transport        the transport interfaces, and one kept-alive socket
 async_transport  one connection for each concurrent request on an event loop
 """
 
-from anchorflow_client.http.client import AnchorClient, AsyncAnchorClient
-
-__all__ = ["AnchorClient", "AsyncAnchorClient"]
+from anchorflow_client.http.client import (
+    AnchorClient as AnchorClient,
+    AsyncAnchorClient as AsyncAnchorClient,
+)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import http.client
-import ssl
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 from anchorflow_client.http.answer_parser import AnswerParser, HttpAnswer
@@ -102,7 +100,7 @@ class AsyncSocketTransport:
         connection = _Connection(self._open)
         connecting = asyncio.ensure_future(
             asyncio.get_running_loop().create_connection(
-                lambda: connection, self._address.host, self._address.port, ssl=self._tls
+                lambda: connection, self._address.host, self._address.port, ssl=self._address.tls
             )
         )
         self._connecting.add(connecting)
@@ -122,10 +120,6 @@ class AsyncSocketTransport:
             connecting.cancel()
             self._connecting.discard(connecting)
         return connection
-
-    @cached_property
-    def _tls(self) -> ssl.SSLContext | None:
-        return self._address.tls()
 
 
 class _Connection(asyncio.Protocol):

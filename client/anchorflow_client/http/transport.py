@@ -108,6 +108,7 @@ class Address:
         authority = parts.netloc if parts.netloc.isascii() else parts.netloc.encode("idna").decode()
         return cls(parts.hostname, port or PORTS[parts.scheme], authority, parts.scheme == "https")
 
+    @cached_property
     def tls(self) -> ssl.SSLContext | None:
         """Return a context with the system's authorities for HTTP/1.1; None for plain HTTP."""
         if not self.is_secure:
@@ -229,16 +230,12 @@ class SocketTransport:
             )
             self._socket = connection  # so that it is closed if the rest fails
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if self._tls is not None:
-                connection = self._tls.wrap_socket(connection, server_hostname=address.host)
+            if address.tls is not None:
+                connection = address.tls.wrap_socket(connection, server_hostname=address.host)
         except TimeoutError as error:
             raise unreachable(self._url, timeout_s=self._connect_timeout_s) from error
         self._socket = connection
         return connection
-
-    @cached_property
-    def _tls(self) -> ssl.SSLContext | None:
-        return self._address.tls()
 
     def _disconnect(self) -> None:
         if self._socket is not None:

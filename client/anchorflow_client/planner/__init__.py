@@ -8,9 +8,7 @@ routes      which anchors take the same route, and when to leave the one in use
 plan        the newest finished batch, and how it looks as time passes
 """
 
-from anchorflow_client.planner.config import PlannerConfig
-from anchorflow_client.planner.plan import Plan, PlanState
-from anchorflow_client.planner.planner import Planner
-from anchorflow_client.planner.request import AnchorSource
-
-__all__ = ["AnchorSource", "Plan", "PlanState", "Planner", "PlannerConfig"]
+from anchorflow_client.planner.config import PlannerConfig as PlannerConfig
+from anchorflow_client.planner.plan import Plan as Plan, PlanState as PlanState
+from anchorflow_client.planner.planner import Planner as Planner
+from anchorflow_client.planner.request import AnchorSource as AnchorSource

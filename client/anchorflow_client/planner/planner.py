@@ -16,17 +16,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent import futures
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from anchorflow_client.base_client import map_fields, spelled_out
 from anchorflow_client.codec import answer_to
-from anchorflow_client.contract import (
-    AnchorBatch,
-    CostMap,
-)
+from anchorflow_client.contract import AnchorBatch, CostMap
 from anchorflow_client.contract.batch import MOTIONS
 from anchorflow_client.contract.checks import Interval, integer
 from anchorflow_client.contract.fields import SEED, PlanOptions
@@ -37,7 +34,6 @@ from anchorflow_client.errors import (
     InvalidRequest,
     TimedOut,
 )
-from anchorflow_client.plan_keywords import map_fields, spelled_out
 from anchorflow_client.planner.config import Pacing, PlannerConfig
 from anchorflow_client.planner.local_goal import SHARE_OF_CELL, start_clearance
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
@@ -54,7 +50,7 @@ from anchorflow_client.planner.request import (
 from anchorflow_client.planner.routes import Commitment, Progress, Routes
 
 if TYPE_CHECKING:
-    from anchorflow_client.plan_keywords import Unpack
+    from anchorflow_client.base_client import Unpack
 
 CAUTIOUS_M = 1.0
 """m from a place where nothing was safe, within which the robot stops at local goals."""
@@ -215,12 +211,7 @@ class Planner:
     def __enter__(self) -> Planner:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _now(self) -> float:

@@ -13,7 +13,11 @@ session    opens a session from settings
 diagnosis  why a connection failed
 """
 
-from anchorflow_client.zenoh_client.client import AsyncZenohAnchorClient, ZenohAnchorClient
-from anchorflow_client.zenoh_client.session import ZenohConfigError, ZenohSettings
-
-__all__ = ["AsyncZenohAnchorClient", "ZenohAnchorClient", "ZenohConfigError", "ZenohSettings"]
+from anchorflow_client.zenoh_client.client import (
+    AsyncZenohAnchorClient as AsyncZenohAnchorClient,
+    ZenohAnchorClient as ZenohAnchorClient,
+)
+from anchorflow_client.zenoh_client.session import (
+    ZenohConfigError as ZenohConfigError,
+    ZenohSettings as ZenohSettings,
+)

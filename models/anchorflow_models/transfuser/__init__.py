@@ -1,74 +1,46 @@
 """The backbone of planners that see by camera and LiDAR, and its heads."""
 
-from anchorflow_models.transfuser.backbone import BevFeatures, FeaturePyramid, TransfuserBackbone
+from anchorflow_models.transfuser.backbone import (
+    BevFeatures as BevFeatures,
+    FeaturePyramid as FeaturePyramid,
+    TransfuserBackbone as TransfuserBackbone,
+)
 from anchorflow_models.transfuser.camera_lift import (
-    GROUND_WIDTH,
-    FarSight,
-    GroundSight,
-    foretold_traffic,
-    moved_ahead,
-    with_far,
+    GROUND_WIDTH as GROUND_WIDTH,
+    FarSight as FarSight,
+    GroundSight as GroundSight,
+    foretold_traffic as foretold_traffic,
+    moved_ahead as moved_ahead,
+    with_far as with_far,
 )
 from anchorflow_models.transfuser.config import (
-    LIDAR_BEFORE,
-    MOTION,
-    SEMANTIC_STRIDE,
-    STATUS,
-    STATUS_UNITS,
-    TransfuserConfig,
+    LIDAR_BEFORE as LIDAR_BEFORE,
+    MOTION as MOTION,
+    SEMANTIC_STRIDE as SEMANTIC_STRIDE,
+    STATUS as STATUS,
+    STATUS_UNITS as STATUS_UNITS,
+    TransfuserConfig as TransfuserConfig,
 )
 from anchorflow_models.transfuser.footprint import (
-    BevValues,
-    Footprint,
-    Places,
-    bev_places,
-    driven_by_car,
-    placed,
+    BevValues as BevValues,
+    Footprint as Footprint,
+    Places as Places,
+    bev_places as bev_places,
+    driven_by_car as driven_by_car,
+    placed as placed,
 )
 from anchorflow_models.transfuser.heads import (
-    AGENT_QUERIES,
-    AGENT_STATE,
-    AgentHead,
-    GroundSemanticHead,
-    OccupancyHead,
-    Perceived,
-    SemanticHead,
+    AGENT_QUERIES as AGENT_QUERIES,
+    AGENT_STATE as AGENT_STATE,
+    AgentHead as AgentHead,
+    GroundSemanticHead as GroundSemanticHead,
+    OccupancyHead as OccupancyHead,
+    Perceived as Perceived,
+    SemanticHead as SemanticHead,
 )
-from anchorflow_models.transfuser.lidar_flow import Moving, SweepMotion
-from anchorflow_models.transfuser.occupancy_lookup import FORETOLD_S, Encounters, foretold_times
-
-__all__ = [
-    "AGENT_QUERIES",
-    "AGENT_STATE",
-    "FORETOLD_S",
-    "GROUND_WIDTH",
-    "LIDAR_BEFORE",
-    "MOTION",
-    "SEMANTIC_STRIDE",
-    "STATUS",
-    "STATUS_UNITS",
-    "AgentHead",
-    "BevFeatures",
-    "BevValues",
-    "Encounters",
-    "FarSight",
-    "FeaturePyramid",
-    "Footprint",
-    "GroundSemanticHead",
-    "GroundSight",
-    "Moving",
-    "OccupancyHead",
-    "Perceived",
-    "Places",
-    "SemanticHead",
-    "SweepMotion",
-    "TransfuserBackbone",
-    "TransfuserConfig",
-    "bev_places",
-    "driven_by_car",
-    "foretold_times",
-    "foretold_traffic",
-    "moved_ahead",
-    "placed",
-    "with_far",
-]
+from anchorflow_models.transfuser.lidar_flow import Moving as Moving, SweepMotion as SweepMotion
+from anchorflow_models.transfuser.occupancy_lookup import (
+    FORETOLD_S as FORETOLD_S,
+    Encounters as Encounters,
+    foretold_times as foretold_times,
+)

@@ -11,7 +11,5 @@ losses      regression, alignment, distillation
     CVPR 2024.
 """
 
-from anchorflow_models.v2x_vlm.config import V2XConfig
-from anchorflow_models.v2x_vlm.network import V2XVLM, create_v2x_vlm
-
-__all__ = ["V2XVLM", "V2XConfig", "create_v2x_vlm"]
+from anchorflow_models.v2x_vlm.config import V2XConfig as V2XConfig
+from anchorflow_models.v2x_vlm.network import V2XVLM as V2XVLM, create_v2x_vlm as create_v2x_vlm

@@ -6,6 +6,9 @@ graphs     runs its graphs in onnxruntime
 providers  the execution providers of onnxruntime and their memory
 """
 
-from anchorflow_service.bundle.reader import DEFAULT_BUNDLE, Bundle, BundleError, load_bundle
-
-__all__ = ["DEFAULT_BUNDLE", "Bundle", "BundleError", "load_bundle"]
+from anchorflow_service.bundle.reader import (
+    DEFAULT_BUNDLE as DEFAULT_BUNDLE,
+    Bundle as Bundle,
+    BundleError as BundleError,
+    load_bundle as load_bundle,
+)

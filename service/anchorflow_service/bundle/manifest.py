@@ -43,8 +43,8 @@ from anchorflow_client.contract import (
     VocabularySpec,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.card import CONDITIONINGS, FINISHES, SAMPLERS, part_of
 from anchorflow_client.contract.fields import LIMITS
-from anchorflow_client.contract.kinds import CONDITIONINGS, FINISHES, SAMPLERS, part_of
 from anchorflow_client.oip_codec import RESERVED
 from anchorflow_trajectory.finish.refiner import DESCENT_RATE
 from anchorflow_trajectory.ode.ddim import NoiseLevels

@@ -5,6 +5,4 @@ samplers      draw anchors with the graphs
 finish        turns them into the arrays of the answer
 """
 
-from anchorflow_service.engine.engine import Engine
-
-__all__ = ["Engine"]
+from anchorflow_service.engine.engine import Engine as Engine

@@ -9,6 +9,4 @@ responses    JSON responses, refusals, client disconnects
 anchors, oip_models, routes, page  the routes
 """
 
-from anchorflow_service.http.app import create_app
-
-__all__ = ["create_app"]
+from anchorflow_service.http.app import create_app as create_app

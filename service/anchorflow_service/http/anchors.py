@@ -13,12 +13,7 @@ from anchorflow_client.oip_codec import OipCodec
 from anchorflow_service.http.exchanges import read_body
 from anchorflow_service.http.openapi import ANCHORS_DOCUMENTATION, HEADER_LENGTH
 from anchorflow_service.http.orjson_codec import OrjsonCodec
-from anchorflow_service.http.responses import (
-    Disconnected,
-    PlainRoute,
-    cancel_on_disconnect,
-    disconnected_response,
-)
+from anchorflow_service.http.responses import PlainRoute, cancel_on_disconnect
 from anchorflow_service.planning import Call, PlanningService
 
 BINARY = OipCodec()
@@ -44,11 +39,9 @@ def anchors_router(service: PlanningService) -> APIRouter:
 
 
 async def answer_to(call: Call, request: Request, service: PlanningService) -> Response:
-    """Return the answer, encoded by the call's codec; a placeholder if the client disconnected."""
+    """Return the answer, encoded by the call's codec. Raises `ClientDisconnect`."""
     try:
         answer = await cancel_on_disconnect(request, service.answer(call))
-    except Disconnected:
-        return disconnected_response()
     finally:  # the log and the header of an error carry the request's own id too
         request.state.request_id = call.request_id
     length = answer.header_length

@@ -39,18 +39,16 @@ from anchorflow_client.errors import (
     TooLarge,
     UnknownModel,
 )
+from anchorflow_client.oip_message import DATATYPES
+from anchorflow_service.http.infer_codec import MAX_ENTRIES
 from anchorflow_service.http.schemas import (
     AnchorAnswerBody,
     ErrorBody,
-    IndexRequestBody,
     InferAnswerBody,
-    InferRequestBody,
-    LoadRequestBody,
     ModelMetadataBody,
     ModelReadyBody,
     ModelsBody,
     ModelStateBody,
-    UnloadRequestBody,
 )
 
 Schema = dict[str, Any]
@@ -63,6 +61,8 @@ EXAMPLE = {
 }
 """A free map of 8 m around (0, 0), crossed from left to right."""
 TEXT = {"type": "string", "minLength": 1, "maxLength": MAX_TEXT_LENGTH, "pattern": r"^[ -~]*$"}
+FLAG = {"type": "boolean", "default": False}
+SHAPE = {"type": "array", "items": {"type": "integer", "minimum": 1}, "maxItems": MAX_AXES}
 BASE64 = {"type": "string", "contentEncoding": "base64"}
 
 
@@ -79,11 +79,7 @@ def _object(properties: Schema, *, required: Sequence[str] = ()) -> Schema:
 BYTES = _object(
     {
         "dtype": {"type": "string", "enum": [*DTYPES]},
-        "shape": {
-            "type": "array",
-            "items": {"type": "integer", "minimum": 1},
-            "maxItems": MAX_AXES,
-        },
+        "shape": SHAPE,
         "base64": BASE64,
     },
     required=("dtype", "shape", "base64"),
@@ -176,7 +172,103 @@ def _bounds(interval: Interval) -> Schema:
     return {low: interval.low, high: interval.high}
 
 
-REF_TEMPLATE = "#/components/schemas/{model}"
+# The Open Inference Protocol: arrays are tensors, other fields parameters by their JSON path.
+
+
+def _nullable(schema: Schema, meaning: str = "") -> Schema:
+    described = {"description": meaning} if meaning else {}
+    return {"anyOf": [schema, {"type": "null"}], **described}
+
+
+def _few(items: Schema) -> Schema:
+    return {"type": "array", "items": items, "maxItems": MAX_ENTRIES}
+
+
+def reference(name: str) -> Schema:
+    """Return a reference to the schema of that name."""
+    return {"$ref": f"#/components/schemas/{name}"}
+
+
+def _options(name: str) -> Schema:
+    """Return the property `parameters`, an optional object of the schema of that name."""
+    return {"parameters": _nullable(reference(name))}
+
+
+def _nested(kind: str, axes: int) -> Schema:
+    schema: Schema = {"type": kind}
+    for _ in range(axes):
+        schema = {"type": "array", "items": schema}
+    return schema
+
+
+NAME = TEXT | {"description": "A name in the model's metadata."}
+DATA: Schema = {
+    "description": "In row-major order; numbers, or for BOOL booleans, flat or nested.",
+    "anyOf": [
+        *(_nested("number", axes) for axes in range(1, 5)),
+        _nested("boolean", 1),
+        _nested("string", 1),
+    ],
+}
+SCALARS = [{"type": kind} for kind in ("boolean", "integer", "number", "string")]
+INFER_EXAMPLE = {
+    "inputs": [
+        {"name": "cost_map", "datatype": "FP32", "shape": [1, 16, 16], "data": [0.0] * 256},
+        {"name": "map_geometry", "datatype": "FP32", "shape": [3], "data": [-4.0, -4.0, 0.5]},
+        {"name": "x_curr", "datatype": "FP64", "shape": [6], "data": EXAMPLE["x_curr"]},
+        {"name": "x_goal", "datatype": "FP64", "shape": [4], "data": EXAMPLE["x_goal"]},
+    ],
+    "parameters": {"num_samples": 4},
+}
+INPUTS = "map_geometry is [3] or [B,3]: origin x and y [m], resolution [m/cell]."
+OTHER_REQUESTS: dict[str, Schema] = {
+    "InferInputBody": _object(
+        {
+            "name": NAME,
+            "datatype": {"type": "string", "enum": [*DATATYPES]},
+            "shape": SHAPE,
+            "data": DATA,
+        },
+        required=("name", "datatype", "shape", "data"),
+    )
+    | {"description": "A tensor in JSON; in the binary form its data follow the header."},
+    "InferOutputBody": _object(
+        {"name": NAME, **_options("OutputParametersBody")}, required=("name",)
+    ),
+    "OutputParametersBody": _object({"binary_data": FLAG}),
+    "InferRequestBody": _object(
+        {
+            "id": _nullable(TEXT, "Echoed."),
+            "parameters": _nullable(
+                {
+                    "type": "object",
+                    "additionalProperties": {"anyOf": SCALARS},
+                    "maxProperties": MAX_ENTRIES,
+                },
+                "num_samples, seed, budget_ms, robot_id, sampler.method, refine.project, …; "
+                "`binary_data_output` for outputs in binary, `timeout` for a budget in "
+                "microseconds.",
+            ),
+            "inputs": _few(reference("InferInputBody")) | {"description": INPUTS},
+            "outputs": _nullable(_few(reference("InferOutputBody")), "All of them."),
+        },
+        required=("inputs",),
+    )
+    | {
+        "description": "Arrays are tensors, all other fields of a request parameters by their JSON "
+        "path.",
+        "examples": [INFER_EXAMPLE],
+    },
+    "IndexRequestBody": _object({"ready": FLAG | {"description": "Only those that are served."}}),
+    "LoadRequestBody": _object(_options("LoadParametersBody")),
+    "LoadParametersBody": _object({"version": _nullable(TEXT, "The newest.")}),
+    "UnloadRequestBody": _object(_options("UnloadParametersBody")),
+    "UnloadParametersBody": _object(
+        {"unload_dependents": FLAG | {"description": "No model depends on another."}}
+    ),
+}
+"""Schemas of the other bodies, by name."""
+
 ANCHOR_REQUEST = "AnchorRequestBody"
 HEADER_LENGTH = "Inference-Header-Content-Length"
 _LENGTH = {
@@ -201,7 +293,7 @@ def _refusals(*errors: type[RequestError]) -> dict[int | str, dict[str, Any]]:
 
 def _content(name: str) -> dict[str, Any]:
     """Return both forms of a body: the JSON schema of that name, and the same in binary."""
-    json_form = {"schema": {"$ref": REF_TEMPLATE.format(model=name)}}
+    json_form = {"schema": reference(name)}
     return {"application/json": json_form, "application/octet-stream": {"schema": BINARY}}
 
 
@@ -232,10 +324,10 @@ def _planning(request: str, answer: type[BaseModel]) -> dict[str, Any]:
     }
 
 
-def _administration(request: type[BaseModel], answer: Any) -> dict[str, Any]:
+def _administration(request: str, answer: Any) -> dict[str, Any]:
     """Document a route of the repository, whose body is optional."""
-    schema = {"$ref": REF_TEMPLATE.format(model=request.__name__)}
-    body = {"required": False, "content": {"application/json": {"schema": schema}}}
+    content = {"application/json": {"schema": reference(request)}}
+    body = {"required": False, "content": content}
     return {
         "openapi_extra": {"requestBody": body},
         "responses": {200: {"model": answer}} | _refusals(InvalidRequest, UnknownModel, TooLarge),
@@ -243,25 +335,18 @@ def _administration(request: type[BaseModel], answer: Any) -> dict[str, Any]:
 
 
 ANCHORS_DOCUMENTATION = _planning(ANCHOR_REQUEST, AnchorAnswerBody)
-INFER_DOCUMENTATION = _planning(InferRequestBody.__name__, InferAnswerBody)
+INFER_DOCUMENTATION = _planning("InferRequestBody", InferAnswerBody)
 METADATA_DOCUMENTATION: dict[str, Any] = {
     "responses": {200: {"model": ModelMetadataBody}} | _refusals(UnknownModel)
 }
 MODEL_READY_DOCUMENTATION: dict[str, Any] = {
     "responses": {200: {"model": ModelReadyBody}} | _refusals(UnknownModel, NotReady)
 }
-INDEX_DOCUMENTATION = _administration(IndexRequestBody, list[ModelStateBody])
-LOAD_DOCUMENTATION = _administration(LoadRequestBody, ModelStateBody)
-UNLOAD_DOCUMENTATION = _administration(UnloadRequestBody, ModelStateBody)
+INDEX_DOCUMENTATION = _administration("IndexRequestBody", list[ModelStateBody])
+LOAD_DOCUMENTATION = _administration("LoadRequestBody", ModelStateBody)
+UNLOAD_DOCUMENTATION = _administration("UnloadRequestBody", ModelStateBody)
 MODELS_DOCUMENTATION: dict[str, Any] = {"responses": {200: {"model": ModelsBody}}}
 NOT_READY_DOCUMENTATION: dict[str, Any] = {"responses": _refusals(NotReady)}
-REQUESTS = (
-    InferRequestBody,
-    IndexRequestBody,
-    LoadRequestBody,
-    UnloadRequestBody,
-)
-"""Models that no route's signature names."""
 
 
 def document(app: FastAPI) -> None:
@@ -273,15 +358,8 @@ def document(app: FastAPI) -> None:
                 title=app.title, version=app.version, summary=app.summary, routes=app.routes
             )
             schema["components"]["schemas"][ANCHOR_REQUEST] = request_schema()
-            for model in REQUESTS:
-                schema["components"]["schemas"] |= _definitions(model)
+            schema["components"]["schemas"] |= OTHER_REQUESTS
             app.openapi_schema = schema
         return app.openapi_schema
 
     app.openapi = openapi
-
-
-def _definitions(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schemas of a model and of its references, by name."""
-    schema = model.model_json_schema(ref_template=REF_TEMPLATE)
-    return schema.pop("$defs", {}) | {model.__name__: schema}

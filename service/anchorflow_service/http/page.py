@@ -25,12 +25,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.engine.samplers.ode import FlowStates
 from anchorflow_service.http.exchanges import read_body
 from anchorflow_service.http.orjson_codec import OrjsonCodec
-from anchorflow_service.http.responses import (
-    Disconnected,
-    cancel_on_disconnect,
-    disconnected_response,
-    json_response,
-)
+from anchorflow_service.http.responses import cancel_on_disconnect, json_response
 from anchorflow_service.planning import Arrival, PlanningService
 
 FOLDER = Path(__file__).parents[1] / "page"
@@ -114,10 +109,7 @@ def page_router(service: PlanningService) -> APIRouter:
         """{times [K], positions [K,N,T,2]} of a request as `POST /anchors` takes it in JSON."""
         arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
-        try:
-            return await cancel_on_disconnect(request, _replay(service, Payload(body), arrival))
-        except Disconnected:
-            return disconnected_response()
+        return await cancel_on_disconnect(request, _replay(service, Payload(body), arrival))
 
     return router
 

@@ -25,10 +25,6 @@ MAX_ECHOED = 100
 Result = TypeVar("Result")
 
 
-class Disconnected(Exception):
-    """The client disconnected before its response was ready."""
-
-
 class PlainRoute(APIRoute):
     """A documented route whose endpoint takes the whole request and returns the response.
 
@@ -60,16 +56,13 @@ def error_response(error: RequestError, headers: Mapping[str, str] | None = None
     return json_response(error.to_dict(), status=error.http_status, headers=headers)
 
 
-def disconnected_response() -> Response:
-    """Return the placeholder response after a client disconnect."""
-    return Response(status_code=CLIENT_DISCONNECTED)
-
-
 def install_error_handlers(app: FastAPI) -> None:
     """Answer refusals, unknown paths and wrong methods with the contract's error JSON."""
     app.add_exception_handler(RequestError, _refused)
     app.add_exception_handler(HTTPException, _not_routed)
-    app.add_exception_handler(ClientDisconnect, lambda *_: disconnected_response())
+    app.add_exception_handler(
+        ClientDisconnect, lambda *_: Response(status_code=CLIENT_DISCONNECTED)
+    )
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, Result]) -> Result:
@@ -79,7 +72,7 @@ async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, Resul
     task does the work, which takes fewer passes of the event loop than a task of its own.
 
     Raises:
-        Disconnected: the client disconnected.
+        ClientDisconnect: the client disconnected.
     """
     working = asyncio.current_task()
     assert working is not None
@@ -101,7 +94,7 @@ async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, Resul
             raise
         if sys.version_info >= (3, 11):
             working.uncancel()
-        raise Disconnected from None
+        raise ClientDisconnect from None
     finally:
         is_over = True
         watching.cancel()

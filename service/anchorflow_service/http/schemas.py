@@ -1,7 +1,4 @@
-"""What /openapi.json shows of answers, and of the Open Inference Protocol's requests.
-
-The body of `POST /anchors` is in `openapi.py`, made from the contract's table.
-"""
+"""What /openapi.json shows of answers; `openapi.py` has the schemas of requests."""
 
 from __future__ import annotations
 
@@ -9,22 +6,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from anchorflow_client.contract.checks import MAX_AXES, MAX_TEXT_LENGTH
 from anchorflow_client.oip_message import DATATYPES
-from anchorflow_service.http.infer_codec import MAX_ENTRIES
 
 Vector = list[float]
 Matrix = list[list[float]]
 Tensor3 = list[list[list[float]]]
 Tensor4 = list[list[list[list[float]]]]
-Text = Annotated[str, Field(min_length=1, max_length=MAX_TEXT_LENGTH, pattern=r"^[ -~]*$")]
-Shape = Annotated[list[Annotated[int, Field(ge=1)]], Field(max_length=MAX_AXES)]
 Datatype = Annotated[str, Field(json_schema_extra={"enum": [*DATATYPES]})]
 Scalar = bool | int | float | str
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
 
 
 def _array(shape: str, unit: str, meaning: str, *default: None) -> Any:
@@ -167,68 +156,6 @@ class ModelReadyBody(BaseModel):
     ready: bool
 
 
-class InferInputBody(_Strict):
-    """A tensor in JSON; in the binary form its data follow the header."""
-
-    name: Text = Field(description="A name in the model's metadata.")
-    datatype: Datatype
-    shape: Shape
-    data: Vector | Matrix | Tensor3 | Tensor4 | list[bool] | list[str] = Field(
-        description="In row-major order; numbers, or for BOOL booleans, flat or nested."
-    )
-
-
-class OutputParametersBody(_Strict):
-    """Options of one output."""
-
-    binary_data: bool = False
-
-
-class InferOutputBody(_Strict):
-    """An output to send."""
-
-    name: Text = Field(description="A name in the model's metadata.")
-    parameters: OutputParametersBody | None = None
-
-
-INFER_EXAMPLE = {
-    "inputs": [
-        {"name": "cost_map", "datatype": "FP32", "shape": [1, 16, 16], "data": [0.0] * 256},
-        {"name": "map_geometry", "datatype": "FP32", "shape": [3], "data": [-4.0, -4.0, 0.5]},
-        {
-            "name": "x_curr",
-            "datatype": "FP64",
-            "shape": [6],
-            "data": [-3.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        },
-        {"name": "x_goal", "datatype": "FP64", "shape": [4], "data": [3.0, 1.0, 0.0, 0.0]},
-    ],
-    "parameters": {"num_samples": 4},
-}
-"""The same as that of `POST /anchors`."""
-
-
-class InferRequestBody(_Strict):
-    """Arrays are tensors, all other fields of a request parameters by their JSON path."""
-
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [INFER_EXAMPLE]})
-
-    id: Text | None = Field(None, description="Echoed.")
-    parameters: dict[str, Scalar] | None = Field(
-        None,
-        max_length=MAX_ENTRIES,
-        description="num_samples, seed, budget_ms, robot_id, sampler.method, refine.project, …; "
-        "`binary_data_output` for outputs in binary, `timeout` for a budget in microseconds.",
-    )
-    inputs: list[InferInputBody] = Field(
-        max_length=MAX_ENTRIES,
-        description="map_geometry is [3] or [B,3]: origin x and y [m], resolution [m/cell].",
-    )
-    outputs: list[InferOutputBody] | None = Field(
-        None, max_length=MAX_ENTRIES, description="All of them."
-    )
-
-
 class AnswerTensorBody(BaseModel):
     """An output; in binary its data follow the header."""
 
@@ -249,12 +176,6 @@ class InferAnswerBody(BaseModel):
     outputs: list[AnswerTensorBody]
 
 
-class IndexRequestBody(_Strict):
-    """A filter of the list of models."""
-
-    ready: bool = Field(False, description="Only those that are served.")
-
-
 class ModelStateBody(BaseModel):
     """The state of one version of a model."""
 
@@ -265,27 +186,3 @@ class ModelStateBody(BaseModel):
     )
     state: Literal["READY", "UNAVAILABLE"]
     reason: str = Field(description="Why it is not served, or why its newer bundle is not.")
-
-
-class LoadParametersBody(_Strict):
-    """Options of loading."""
-
-    version: Text | None = Field(None, description="The newest.")
-
-
-class LoadRequestBody(_Strict):
-    """A request to load a model."""
-
-    parameters: LoadParametersBody | None = None
-
-
-class UnloadParametersBody(_Strict):
-    """Options that Triton's clients send."""
-
-    unload_dependents: bool = Field(False, description="No model depends on another.")
-
-
-class UnloadRequestBody(_Strict):
-    """A request to unload a model."""
-
-    parameters: UnloadParametersBody | None = None

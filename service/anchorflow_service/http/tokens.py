@@ -29,7 +29,7 @@ from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from anchorflow_client.errors import AnchorFlowError, Unauthorized
-from anchorflow_service.http.openapi import REF_TEMPLATE
+from anchorflow_service.http.openapi import reference
 from anchorflow_service.http.responses import error_response
 from anchorflow_service.http.schemas import ErrorBody
 
@@ -238,7 +238,7 @@ def document_tokens(app: FastAPI) -> None:
     schema = app.openapi()
     schemes = schema["components"].setdefault("securitySchemes", {})
     schemes["token"] = {"type": "http", "scheme": "bearer"}
-    error = {"schema": {"$ref": REF_TEMPLATE.format(model=ErrorBody.__name__)}}
+    error = {"schema": reference(ErrorBody.__name__)}
     refused: dict[str, Any] = {
         "description": f"`{Unauthorized.code}`",
         "content": {"application/json": error},

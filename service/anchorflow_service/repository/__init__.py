@@ -4,25 +4,16 @@ folders     the folders of bundles, and the models in them
 repository  the models at the start, loading and unloading
 """
 
-from anchorflow_service.repository.folders import BundleFolders, RepositoryError
-from anchorflow_service.repository.repository import (
-    READY,
-    UNAVAILABLE,
-    FixedRepository,
-    LoadError,
-    ModelState,
-    Repository,
-    open_all,
+from anchorflow_service.repository.folders import (
+    BundleFolders as BundleFolders,
+    RepositoryError as RepositoryError,
 )
-
-__all__ = [
-    "READY",
-    "UNAVAILABLE",
-    "BundleFolders",
-    "FixedRepository",
-    "LoadError",
-    "ModelState",
-    "Repository",
-    "RepositoryError",
-    "open_all",
-]
+from anchorflow_service.repository.repository import (
+    READY as READY,
+    UNAVAILABLE as UNAVAILABLE,
+    FixedRepository as FixedRepository,
+    LoadError as LoadError,
+    ModelState as ModelState,
+    Repository as Repository,
+    open_all as open_all,
+)

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, End

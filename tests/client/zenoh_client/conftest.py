@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
+from anchorflow_benchmarks.programs import free_endpoint
 from anchorflow_client import ConnectionFailed, ModelCard, Overloaded
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.network import Network
@@ -80,8 +81,7 @@ class Peer:
 @pytest.fixture
 def endpoint() -> str:
     """Return an endpoint without a listener."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

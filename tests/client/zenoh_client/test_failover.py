@@ -8,17 +8,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 import zenoh
+from staged_planner import made_batch
 
 from anchorflow_client import (
-    AnchorBatch,
     Cancellation,
     Cancelled,
     InvalidAnswer,
     ModelCard,
-    ModelId,
     OipCodec,
     Payload,
     TimedOut,
@@ -151,10 +149,7 @@ def test_a_cancelled_request_is_not_sent(
 def test_the_answer_to_another_request_is_refused(
     peer: Any, endpoint: str, card: ModelCard, info: Info, fields: dict[str, Any]
 ) -> None:
-    model = ModelId(card.name, card.version, card.sha256)
-    arrays = {"trajectories": np.zeros((2, 3, 2), np.float32)}
-    batch = AnchorBatch(arrays=arrays, dt=0.1, seed=1, model=model, timing_ms={}, request_id="r1")
-    sent = OipCodec().encode_answer(batch)
+    sent = OipCodec().encode_answer(made_batch(request_id="r1"))
 
     def answer(query: zenoh.Query) -> None:
         said = AnswerAttachment(sent.header_length, "r1", "a", Load())

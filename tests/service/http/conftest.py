@@ -15,8 +15,7 @@ from fastapi import FastAPI
 from served import InProcess, in_process
 from straight_lines import StraightLines
 
-from anchorflow_cli.listening import listen as listen_at
-from anchorflow_cli.listening import url_of
+from anchorflow_cli.listening import listen as listen_at, url_of
 from anchorflow_service.http import create_app
 from anchorflow_service.http.lifecycle import uvicorn_config
 from anchorflow_service.planning import PlanningService

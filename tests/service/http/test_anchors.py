@@ -18,9 +18,7 @@ from anchorflow_client import (
     InvalidRequest,
     JsonCodec,
 )
-from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, ModelsBody
-from anchorflow_service.planning import PlanningService
 
 
 @pytest.fixture
@@ -28,53 +26,27 @@ def client(service: Any) -> AnchorClient:
     return AnchorClient("http://test", transport=service)
 
 
-def test_the_answer_is_what_the_engine_planned(
-    client: AnchorClient, engine: Any, fields: dict[str, Any]
-) -> None:
-    anchors = client.plan(**fields)
-
-    planned = engine.plan(engine.seen[0])
-    for name in ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe"):
-        np.testing.assert_array_equal(getattr(anchors, name), getattr(planned, name))
-    assert (anchors.dt, anchors.seed, anchors.model) == (planned.dt, 1, engine.card.id)
-
-
-@pytest.mark.parametrize(("name", "value"), [("v_max", 9.0), ("horizon_s", 0.5)])
-def test_a_limit_beyond_its_range_is_refused_with_its_field(
-    free_engine: Any, run: Any, fields: dict[str, Any], name: str, value: float
-) -> None:
-    service = run(create_app(PlanningService({"lines": free_engine}, default="lines")))
-
-    answer = service.post(fields | {name: value})
-
-    assert answer.status_code == 422
-    error = answer.json()["error"]
-    assert (error["code"], error["field"]) == ("invalid_request", name)
-    assert "for which lines 1.2.3 was trained, got" in error["message"]
-
-
 @pytest.fixture
-def free(free_engine: Any, run: Any) -> AnchorClient:
+def free_client(free: Any) -> AnchorClient:
     """A client of the model whose anchors have their own durations."""
-    service = run(create_app(PlanningService({"lines": free_engine}, default="lines")))
-    return AnchorClient("http://test", transport=service, codec=JsonCodec())
+    return AnchorClient("http://test", transport=free, codec=JsonCodec())
 
 
 @pytest.mark.parametrize("scenes", [(), (3,)])
 def test_own_durations_come_with_every_anchor(
-    free: AnchorClient, free_engine: Any, fields: dict[str, Any], scenes: tuple[int, ...]
+    free_client: AnchorClient, free_engine: Any, fields: dict[str, Any], scenes: tuple[int, ...]
 ) -> None:
     fields["x_goal"] = np.broadcast_to(fields["x_goal"], (*scenes, 4))
 
-    anchors = free.plan(**fields)
+    anchors = free_client.plan(**fields)
 
     assert anchors.durations.shape == (*scenes, 4)
     np.testing.assert_array_equal(anchors.dt, free_engine.plan(free_engine.seen[0]).dt)
     assert len(np.unique(anchors.durations)) == anchors.durations.size
 
 
-def test_a_horizon_makes_them_alike(free: AnchorClient, fields: dict[str, Any]) -> None:
-    anchors = free.plan(**fields, horizon_s=30.0)
+def test_a_horizon_makes_them_alike(free_client: AnchorClient, fields: dict[str, Any]) -> None:
+    anchors = free_client.plan(**fields, horizon_s=30.0)
 
     assert anchors.dt == 2.0
     np.testing.assert_array_equal(anchors.durations, [30.0] * 4)
@@ -122,21 +94,6 @@ def test_the_engine_gets_a_request_with_nothing_left_open(
     assert request.limits == replace(engine.card.cost_map.limits, robot_radius=0.4)
     assert (request.sampler, request.refine) == (engine.card.sampler, engine.card.finish)
     assert request.seed == anchors.seed
-
-
-def test_another_model_answers_by_name(client: AnchorClient, fields: dict[str, Any]) -> None:
-    assert client.plan(**fields, model="bows").model.name == "bows"
-    with pytest.raises(InvalidRequest, match=r"robot_radius: .*bows"):
-        client.plan(**fields, model="bows", robot_radius=0.4)
-
-
-def test_the_time_in_the_queue_and_in_all_is_told(
-    client: AnchorClient, fields: dict[str, Any]
-) -> None:
-    timing_ms = client.plan(**fields).timing_ms
-
-    assert set(timing_ms) == {"queue", "encode", "sample", "refine", "total"}
-    assert 0 <= timing_ms["queue"] <= timing_ms["total"] != 6.0
 
 
 def test_the_request_id_is_echoed(service: Any, fields: dict[str, Any]) -> None:

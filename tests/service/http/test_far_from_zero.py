@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
-from anyio.from_thread import start_blocking_portal
-from fastapi import FastAPI
+from served import TRANSPORTS, client_over
 
-from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
+from anchorflow_client import AnchorBatch
 from anchorflow_client.base_client import BaseClient
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.bundle import DEFAULT_BUNDLE
-from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService
-from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 UTM = np.array([689123.4, 5400321.7])
 START, GOAL = np.array([0.6, 0.7]), np.array([9.2, 9.0])  # m from the corner
@@ -31,35 +25,11 @@ def engine() -> Any:
     return LocalClient.of(DEFAULT_BUNDLE.parent / "student", threads=2).engine
 
 
-@pytest.fixture
-def planning(engine: Any) -> PlanningService:
-    return PlanningService({engine.card.name: engine}, default=engine.card.name)
-
-
-@pytest.fixture
-def app(planning: PlanningService) -> FastAPI:
-    return create_app(planning)
-
-
-@pytest.fixture(params=["json", "binary", "zenoh"])
-def client(
-    request: pytest.FixtureRequest, app: FastAPI, planning: PlanningService
-) -> Iterator[BaseClient]:
-    if request.param != "zenoh":
-        codec = JsonCodec() if request.param == "json" else OipCodec()
-        service = request.getfixturevalue("run")(app)
-        with AnchorClient("http://test", transport=service, codec=codec) as http:
-            yield http
-        return
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        address = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-    with start_blocking_portal() as portal, planning:
-        replica = ZenohEndpoint(planning, open_session(ZenohSettings(listen=(address,))))
-        with (
-            portal.wrap_async_context_manager(replica),
-            ZenohAnchorClient(address, timeout_s=30) as zenoh,
-        ):
-            yield zenoh
+@pytest.fixture(params=TRANSPORTS)
+def client(request: pytest.FixtureRequest, engine: Any) -> Iterator[BaseClient]:
+    planning = PlanningService({engine.card.name: engine}, default=engine.card.name)
+    with client_over(request.param, planning) as client:
+        yield client
 
 
 def plan(client: BaseClient, place: np.ndarray, **changes: Any) -> AnchorBatch:

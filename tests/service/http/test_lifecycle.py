@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import signal
-import threading
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -62,48 +62,31 @@ def test_a_second_signal_ends_the_notice(start: Start) -> None:
     assert running.has_stopped()
 
 
-def in_the_background(client: AnchorClient, fields: dict[str, Any]) -> tuple[Any, list[Any]]:
-    said: list[Any] = []
-
-    def ask() -> None:
-        try:
-            said.append(client.plan(**fields))
-        except NotReady as error:
-            said.append(error)
-
-    thread = threading.Thread(target=ask)
-    thread.start()
-    return thread, said
-
-
 def test_what_runs_is_answered_before_it_stops(
-    start: Start, gate: Any, fields: dict[str, Any]
+    start: Start, gate: Any, fields: dict[str, Any], background: ThreadPoolExecutor
 ) -> None:
     running = start(Draining(drain_s=20))
     with AnchorClient(running.url, timeout_s=20) as client:
-        thread, said = in_the_background(client, fields)
+        asked = background.submit(lambda: client.plan(**fields))
         assert gate.reached.wait(20)
         tell_to_stop(running)
         assert not running.has_stopped(0.5)
 
         gate.opened.set()
-        thread.join(20)
-
-    assert said[0].seed == 1
+        assert asked.result(20).seed == 1
     assert running.has_stopped()
 
 
 def test_what_outlasts_the_drain_is_told_so(
-    start: Start, gate: Any, fields: dict[str, Any]
+    start: Start, gate: Any, fields: dict[str, Any], background: ThreadPoolExecutor
 ) -> None:
     running = start(Draining(drain_s=0.3))
     with AnchorClient(running.url, timeout_s=20) as client:
-        thread, said = in_the_background(client, fields)
+        asked = background.submit(lambda: client.plan(**fields))
         assert gate.reached.wait(20)
         tell_to_stop(running)
-        thread.join(20)
+        with pytest.raises(NotReady, match="stopping"):
+            asked.result(20)
 
     gate.opened.set()
-    assert isinstance(said[0], NotReady)
-    assert "stopping" in said[0].message
     assert running.has_stopped()

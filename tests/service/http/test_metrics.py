@@ -1,11 +1,14 @@
-"""Metrics of the application, and of other transports."""
+"""Metrics of the application and of other transports, and the dashboard that shows them."""
 
 from __future__ import annotations
 
 import asyncio
+import json
+import re
 import subprocess
 import sys
 import textwrap
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -226,3 +229,46 @@ def test_without_room_for_shared_counts_a_worker_does_not_start(
 
     with pytest.raises(SharedFolderError, match="file: cannot be written: File exists"):
         reserve_shared_files()
+
+
+# The Grafana dashboard
+
+DASHBOARD = Path(__file__).parents[3] / "docker" / "grafana" / "anchorflow.json"
+METRIC = re.compile(r"\b(?:anchorflow|process)_\w+")
+FROM_PROMETHEUS = {"instance", "job", "le"}
+
+
+def queries() -> Iterator[str]:
+    for panel in json.loads(DASHBOARD.read_text())["panels"]:
+        yield from (target["expr"] for target in panel["targets"])
+
+
+@pytest.fixture
+def exposed(service: Any, fields: dict[str, Any]) -> dict[str, set[str]]:
+    """Labels by metric, once there has been something to count."""
+    assert service.post(fields).status_code == 200
+    labels: dict[str, set[str]] = {}
+    for name, own in scraped(service):
+        labels.setdefault(name, set()).update(label for label, _ in own)
+    return labels
+
+
+def test_every_query_finds_its_metrics_and_labels(exposed: dict[str, set[str]]) -> None:
+    for query in queries():
+        names = METRIC.findall(query)
+        assert names, query
+        assert set(names) <= set(exposed), query
+        grouped = re.findall(r"by \(([^)]*)\)", query)
+        asked = {label.strip() for group in grouped for label in group.split(",")}
+        asked |= set(re.findall(r"(\w+)\s*(?:=~|!~|!=|=)\s*\"", query))
+        had = set().union(*(exposed[name] for name in names))
+        assert asked <= had | FROM_PROMETHEUS, query
+
+
+def test_what_a_service_tells_of_itself_is_shown(exposed: dict[str, set[str]]) -> None:
+    """Every metric is on the dashboard."""
+    suffix = re.compile(r"_(total|bucket|sum|count|created)$")
+    own = {suffix.sub("", name) for name in exposed if name.startswith("anchorflow_")}
+    shown = {suffix.sub("", name) for query in queries() for name in METRIC.findall(query)}
+
+    assert own <= shown

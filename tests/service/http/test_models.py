@@ -10,33 +10,8 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorClient
-from anchorflow_service.http import create_app
-from anchorflow_service.planning import PlanningService
 
-Tensor = dict[str, Any]
 LENGTH = "Inference-Header-Content-Length"
-
-
-def tensor(name: str, value: Any, datatype: str = "FP64") -> Tensor:
-    return {
-        "name": name,
-        "datatype": datatype,
-        "shape": list(np.shape(value)),
-        "data": np.asarray(value).tolist(),
-    }
-
-
-@pytest.fixture
-def body(fields: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "inputs": [
-            tensor("cost_map", fields["cost_map"]["data"], "FP32"),
-            tensor("map_geometry", [-5.0, -4.0, 0.5]),
-            tensor("x_curr", fields["x_curr"]),
-            tensor("x_goal", fields["x_goal"]),
-        ],
-        "parameters": {"num_samples": 4, "seed": 1},
-    }
 
 
 def infer(service: Any, body: Any, model: str = "lines", **headers: str) -> Any:
@@ -109,12 +84,6 @@ def test_the_metadata_is_what_the_card_says(service: Any, engine: Any) -> None:
     assert outputs["safe"] == [-1, -1]
 
 
-@pytest.fixture
-def free(free_engine: Any, run: Any) -> Any:
-    """A service of the model whose anchors have their own durations."""
-    return run(create_app(PlanningService({"lines": free_engine}, default="lines")))
-
-
 def test_own_time_steps_are_an_output(free: Any, body: dict[str, Any]) -> None:
     metadata = free.request("GET", "/v2/models/lines").json()
     assert metadata["outputs"][-1] == {"name": "dt", "datatype": "FP64", "shape": [-1, -1]}
@@ -125,23 +94,23 @@ def test_own_time_steps_are_an_output(free: Any, body: dict[str, Any]) -> None:
     np.testing.assert_allclose(arrays(answer)["dt"] * 15, [1.0, 1.1, 1.2, 1.3])
 
 
-@pytest.mark.parametrize("outputs", [["scores"], ["dt", "scores"]])
+@pytest.mark.parametrize(
+    ("horizon_s", "outputs", "sent"),
+    [
+        (None, ["scores"], {"dt", "scores"}),
+        (None, ["dt", "scores"], {"dt", "scores"}),
+        (30.0, ["dt", "scores"], {"scores"}),  # one for all is a parameter
+    ],
+)
 def test_own_time_steps_are_told_whatever_is_wanted(
-    free: Any, body: dict[str, Any], outputs: list[str]
+    free: Any, body: dict[str, Any], horizon_s: float | None, outputs: list[str], sent: set[str]
 ) -> None:
+    if horizon_s is not None:
+        body["parameters"]["horizon_s"] = horizon_s
     answer = infer(free, body | {"outputs": [{"name": name} for name in outputs]})
 
-    assert set(arrays(answer)) == {"dt", "scores"}
-
-
-def test_one_time_step_is_a_parameter_also_where_its_output_is_wanted(
-    free: Any, body: dict[str, Any]
-) -> None:
-    body["parameters"]["horizon_s"] = 30.0
-    answer = infer(free, body | {"outputs": [{"name": "dt"}, {"name": "scores"}]})
-
-    assert set(arrays(answer)) == {"scores"}
-    assert answer.json()["parameters"]["dt"] == 2.0
+    assert set(arrays(answer)) == sent
+    assert answer.json()["parameters"].get("dt") == (2.0 if horizon_s else None)
 
 
 def change(body: dict[str, Any], **changes: Any) -> dict[str, Any]:
@@ -149,6 +118,12 @@ def change(body: dict[str, Any], **changes: Any) -> dict[str, Any]:
     return body | {"inputs": [body["inputs"][0] | changes, *body["inputs"][1:]]}
 
 
+BINARY = {
+    "name": "x_curr",
+    "datatype": "FP32",
+    "shape": [6],
+    "parameters": {"binary_data_size": 24},
+}
 REFUSED: dict[str, tuple[Any, str]] = {
     "no object": (lambda _: [1], "body: expected an object"),
     "no json": (lambda _: b"{", "body: expected JSON, got text that breaks"),
@@ -199,19 +174,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
         "cost_map: expected one tensor of this name, got two",
     ),
     "binary without a length": (
-        lambda body: (
-            body
-            | {
-                "inputs": [
-                    {
-                        "name": "x_curr",
-                        "datatype": "FP32",
-                        "shape": [6],
-                        "parameters": {"binary_data_size": 24},
-                    }
-                ]
-            }
-        ),
+        lambda body: body | {"inputs": [BINARY]},
         "x_curr: expected 24 bytes, got 0",
     ),
     "outputs no list": (

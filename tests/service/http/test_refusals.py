@@ -1,15 +1,17 @@
-"""Bad input over the wire gets the documented code and field, and the service continues."""
+"""Bad input and failures get the documented code and field, and the service continues."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from bad_fields import BAD_FIELDS, NOT_JSON, occupied_at, with_value
 
-NAN, INF = float("nan"), float("inf")
+from anchorflow_client import AnchorBatch
 
 
 @pytest.fixture(autouse=True)
@@ -30,93 +32,39 @@ def refusal(answer: Any, status: int, code: str) -> dict[str, str]:
     return body["error"]
 
 
-def with_value(fields: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
-    *parents, name = path.split(".")
-    parent = fields
-    for key in parents:
-        parent = parent.setdefault(key, {})
-    parent[name] = value
-    return fields
+IN_JSON = [case for case in BAD_FIELDS if not isinstance(case[1], np.ndarray)]
 
 
-def occupied_at(row: int, column: int) -> list[Any]:
-    grid = np.zeros((1, 16, 20))
-    grid[0, row, column] = 1.0
-    return grid.tolist()
-
-
-BAD_VALUES: dict[str, tuple[str, Any, str]] = {
-    "state of five": ("x_curr", [0] * 5, "expected shape [6] or [B,6], [9] or [B,9], got [5]"),
-    "goal of six": ("x_goal", [0] * 6, "expected shape [4] or [B,4], got [6]"),
-    "flat map": ("cost_map.data", [0.0] * 64, "expected shape [C,H,W] or [B,C,H,W], got [64]"),
-    "small map": ("cost_map.data", np.zeros((1, 8, 8)).tolist(), "H and W from 16 to 512"),
-    "ragged map": ("cost_map.data", [[[0] * 16] * 15 + [[0] * 3]], "cost_map.data[0][15]"),
-    "string in a map": (
-        "cost_map.data",
-        [[[0] * 15 + ["abc"]] * 16],
-        "expected a number at cost_map.data[0][0][15], got the string 'abc'",
-    ),
-    "null in a map": ("cost_map.data", [[[None] * 16] * 16], "got null"),
-    "boolean in a map": ("cost_map.data", [[[0] * 15 + [True]] * 16], "got the boolean true"),
-    "negative cost": ("cost_map.data", [[[-1] * 16] * 16], "numbers in [0, 1], got -1.0"),
-    "nan in a map": ("cost_map.data", [[[NAN] * 16] * 16], "finite numbers, got nan"),
-    "string for a number": ("robot_radius", "abc", "expected a number in [0, 5] m, got the string"),
-    "boolean for a number": ("num_samples", True, "expected an integer from 1 to 512, got the bo"),
-    "string in a state": ("x_curr", [0, 0, 0, 0, 0, "abc"], "at x_curr[5], got the string 'abc'"),
-    "boolean in a state": ("x_curr", [0, 0, 0, 0, 0, False], "got the boolean false"),
-    "nan": ("x_goal", [0, 0, NAN, 0], "expected finite numbers, got nan at x_goal[2]"),
-    "infinity": ("x_goal", [0, 0, INF, 0], "expected finite numbers, got inf at x_goal[2]"),
-    "minus infinity": ("robot_radius", -INF, "got -inf"),
-    "500 m/s": ("x_curr", [0, 0, 500, 0, 0, 0], "numbers in [-100, 100] m/s, got 500.0 at x_cu"),
-    "10000 m/s^2": ("x_curr", [0, 0, 0, 0, 0, 1e4], "in [-100, 100] m/s^2, got 10000.0 at x_c"),
-    "negative style": ("w_style", [0.5, -0.5, 1.0], "got -0.5 at w_style[1]"),
-    "style of zeros": ("w_style", [0, 0, 0], "expected a weight above 0, got only zeros"),
-    "no samples": ("num_samples", 0, "expected an integer from 1 to 512, got 0"),
-    "513 samples": ("num_samples", 513, "expected an integer from 1 to 512, got 513"),
-    "no resolution": ("cost_map.resolution", 0, "expected a number in [1e-06, 100] m/cell"),
-    "goal in an obstacle": ("cost_map.data", occupied_at(9, 16), "[row 9, column 16]"),
-    "start off the map": ("x_curr", [-9, 0, 0, 0, 0, 0], "expected a position on the map"),
-    "unknown field": ("x_gaol", [0] * 4, "unknown field; did you mean 'x_goal'?"),
-    "nested unknown field": ("cost_map.frame", "map", "unknown field"),
-    "deeply unknown field": ("sampler.schedule", {"unifrom": 3}, "did you mean 'uniform'?"),
-    "steps of nothing": (
-        "sampler.schedule",
-        [0, 1e-38, 1],
-        "expected times at least 1e-06 apart, got [0.0, 1e-38, 1.0]",
-    ),
-    "fixed limit": ("v_max", 9.0, "expected 2 m/s, which lines 1.2.3 was made for"),
-    "string for a list": ("x_curr", "fast", "got the string 'fast'"),
-    "list for an object": ("cost_map", [], "expected an object, got a list of 0"),
-    "no map": ("cost_map", None, "this field is required"),
-}
-FIELD_OF = {
-    "goal in an obstacle": "x_goal",
-    "deeply unknown field": "sampler.schedule.unifrom",
-}
-
-
-@pytest.mark.parametrize("case", BAD_VALUES)
-def test_a_bad_value_is_refused_by_name(service: Any, fields: dict[str, Any], case: str) -> None:
-    path, value, words = BAD_VALUES[case]
-
+@pytest.mark.parametrize(("path", "value", "words"), IN_JSON)
+def test_a_bad_value_is_refused_by_name(
+    service: Any, fields: dict[str, Any], path: str, value: Any, words: list[str]
+) -> None:
     error = refusal(service.post(with_value(fields, path, value)), 422, "invalid_request")
 
-    assert error["field"] == FIELD_OF.get(case, path)
+    assert error["field"] == path or error["field"].startswith(f"{path}.")
     assert error["field"] in error["message"]
+    assert [word for word in words if word not in error["message"]] == []
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field", "words"),
+    [
+        ("cost_map.data", occupied_at(9, 16), "x_goal", "[row 9, column 16]"),
+        ("v_max", 9.0, "v_max", "expected 2 m/s, which lines 1.2.3 was made for"),
+    ],
+)
+def test_what_the_map_or_the_model_forbids_is_refused_by_name(
+    service: Any, fields: dict[str, Any], path: str, value: Any, field: str, words: str
+) -> None:
+    error = refusal(service.post(with_value(fields, path, value)), 422, "invalid_request")
+
+    assert error["field"] == field
     assert words in error["message"]
 
 
 @pytest.mark.parametrize(
     ("body", "words"),
-    [
-        (b'{"cost_map": {"data": [[[0.0, 0.0', "breaks at position 33 of 33"),
-        (b"", "breaks at position 0 of 0"),
-        (b'{"x_curr": [1,, 2]}', "breaks at position 14 of 19"),
-        (b"\xff\xfe", "body"),
-        (b"[" * 100_000, "body"),
-        (b'"text"', "expected an object, got the string 'text'"),
-        (b"null", "expected an object, got null"),
-    ],
+    [(b"", "position 0 of 0"), (b"[" * 60_000, "depth limit exceeded"), *NOT_JSON.items()],
 )
 def test_a_body_that_is_no_json_object_is_refused(service: Any, body: bytes, words: str) -> None:
     error = refusal(service.post(body), 422, "invalid_request")
@@ -187,3 +135,46 @@ def test_a_long_path_is_not_repeated(service: Any) -> None:
     error = refusal(service.request("GET", "/" + "x" * 10_000), 404, "invalid_request")
 
     assert len(error["message"]) < 200
+
+
+def explode(_: AnchorBatch) -> AnchorBatch:
+    raise ZeroDivisionError("secret detail")
+
+
+def answer_nan(batch: AnchorBatch) -> AnchorBatch:
+    broken = batch.trajectories * np.float32(np.nan)
+    return replace(batch, arrays={**batch.arrays, "trajectories": broken})
+
+
+def answer_infinite_clearance(batch: AnchorBatch) -> AnchorBatch:
+    broken = np.full_like(batch.clearance, np.inf)
+    return replace(batch, arrays={**batch.arrays, "clearance": broken})
+
+
+@pytest.mark.parametrize(
+    ("fault", "logged"),
+    [
+        (explode, "secret detail"),
+        (answer_nan, "not finite"),
+        (answer_infinite_clearance, "not finite"),
+    ],
+)
+def test_a_failure_is_internal_and_logged_under_its_id(
+    service: Any,
+    engine: Any,
+    fields: dict[str, Any],
+    caplog: pytest.LogCaptureFixture,
+    fault: Callable[[AnchorBatch], AnchorBatch],
+    logged: str,
+) -> None:
+    engine.before_answer = fault
+    answer = service.post(fields | {"request_id": "r7"})
+    engine.before_answer = lambda batch: batch
+
+    error = refusal(answer, 500, "internal")
+    assert error["field"] is None
+    assert "r7" in error["message"]
+    assert "Traceback" not in answer.text
+    assert logged not in answer.text
+    assert "request r7 failed" in caplog.text
+    assert logged in caplog.text

@@ -11,29 +11,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from served import app_of
+from written_graphs import set_in_manifest
 
 from anchorflow_client import AnchorClient, AnchorRequest
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.repository import BundleFolders, Repository
+from anchorflow_service.planning import PlanningService
 
 SWAPS = 20
 CLIENTS = 4
 
 
-def opened(folder: Path) -> Engine:
-    return Engine(load_bundle(folder), threads=1)
-
-
 @pytest.fixture
 def service(tiny_bundle: Path, run: Any) -> Any:
-    planning = PlanningService(
-        {"tiny": opened(tiny_bundle)}, default="tiny", limits=ServiceLimits(threads=2)
-    )
-    repository = Repository(planning.engines, BundleFolders([tiny_bundle]), opened)
-    return run(create_app(planning, repository=repository))
+    return run(app_of(tiny_bundle))
 
 
 def post(service: Any, path: str, body: Any = None) -> Any:
@@ -41,13 +32,8 @@ def post(service: Any, path: str, body: Any = None) -> Any:
     return service.request("POST", f"/v2/repository/{path}", content=content)
 
 
-def version(folder: Path, name: str) -> None:
-    file = folder / "manifest.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"version": name}))
-
-
 def test_loading_and_unloading(service: Any, tiny_bundle: Path) -> None:
-    version(tiny_bundle, "2.0")
+    set_in_manifest(tiny_bundle, "version", to="2.0")
 
     loaded = post(service, "models/tiny/load")
     assert (loaded.status_code, loaded.json()) == (
@@ -126,7 +112,7 @@ def test_twenty_swaps_while_requests_come_and_none_fails(
         mine = AnchorClient("http://test", transport=service)
         try:
             for swap in range(SWAPS):
-                version(tiny_bundle, f"2.{swap}")
+                set_in_manifest(tiny_bundle, "version", to=f"2.{swap}")
                 assert post(service, "models/tiny/load").status_code == 200
                 assert mine.plan_request(request).model.version == f"2.{swap}"
         finally:

@@ -9,28 +9,16 @@ from pathlib import Path
 
 import pytest
 from fastapi import FastAPI
-
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
-from anchorflow_service.http import create_app
-from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.repository import BundleFolders, Repository
+from served import app_of
 
 CONFIG = Path(__file__).with_name("schemathesis.toml")
 EXAMPLES, SEED = 30, 1
 PATIENCE_S = 280
 
 
-def opened(folder: Path) -> Engine:
-    return Engine(load_bundle(folder), threads=1)
-
-
 @pytest.fixture
 def app(tiny_bundle: Path) -> FastAPI:
-    """The tiny bundle, served; its repository can load it again."""
-    service = PlanningService({"tiny": opened(tiny_bundle)}, default="tiny", limits=ServiceLimits())
-    repository = Repository(service.engines, BundleFolders([tiny_bundle]), opened)
-    return create_app(service, repository=repository)
+    return app_of(tiny_bundle)
 
 
 def test_every_answer_is_as_the_description_says(

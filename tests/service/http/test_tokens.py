@@ -8,6 +8,7 @@ import logging
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -24,21 +25,16 @@ GOOD = token_line("robot-7", ("infer",), "first")
 OTHER = token_line("fleet", ("infer", "admin"), "second")
 
 
-class Clock:
-    """A time that stands still until it is set."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     file = tmp_path / "tokens"
     file.write_text(f"# the fleet's\n\n{GOOD}\n   {OTHER}\n")
     return file
+
+
+@pytest.fixture
+def tokens(path: Path, clock: Any) -> TokenFile:
+    return TokenFile(path, clock=clock)
 
 
 def test_a_line_holds_the_digest_and_not_the_token() -> None:
@@ -47,9 +43,7 @@ def test_a_line_holds_the_digest_and_not_the_token() -> None:
     assert f"robot-7 infer sha256:{digest}" == GOOD
 
 
-def test_tokens_are_found_by_what_is_presented(path: Path) -> None:
-    tokens = TokenFile(path)
-
+def test_tokens_are_found_by_what_is_presented(tokens: TokenFile) -> None:
     found = tokens.find("second")
 
     assert found is not None
@@ -96,9 +90,9 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         read_tokens(tmp_path / "binary")
 
 
-def test_a_change_is_seen_within_a_second(path: Path, tmp_path: Path) -> None:
-    clock = Clock()
-    tokens = TokenFile(path, clock=clock)
+def test_a_change_is_seen_within_a_second(
+    path: Path, tokens: TokenFile, clock: Any, tmp_path: Path
+) -> None:
     replacement = tmp_path / "new"
     replacement.write_text(OTHER)
     replacement.replace(path)
@@ -109,8 +103,9 @@ def test_a_change_is_seen_within_a_second(path: Path, tmp_path: Path) -> None:
     assert tokens.find("second") is not None
 
 
-def test_a_secret_that_is_mounted_as_a_link_is_seen_to_change(path: Path, tmp_path: Path) -> None:
-    clock = Clock()
+def test_a_secret_that_is_mounted_as_a_link_is_seen_to_change(
+    path: Path, clock: Any, tmp_path: Path
+) -> None:
     link = tmp_path / "link"
     link.symlink_to(path)
     tokens = TokenFile(link, clock=clock)
@@ -126,9 +121,8 @@ def test_a_secret_that_is_mounted_as_a_link_is_seen_to_change(path: Path, tmp_pa
 
 
 @pytest.mark.timeout(60)
-def test_a_pipe_is_read_once(tmp_path: Path) -> None:
+def test_a_pipe_is_read_once(clock: Any, tmp_path: Path) -> None:
     """Reading it again would block the service until the next write."""
-    clock = Clock()
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
     with ThreadPoolExecutor(1) as executor:
@@ -142,10 +136,8 @@ def test_a_pipe_is_read_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_file_that_breaks_leaves_the_tokens_as_they_were(
-    path: Path, caplog: pytest.LogCaptureFixture, gone: bool
+    path: Path, tokens: TokenFile, clock: Any, caplog: pytest.LogCaptureFixture, gone: bool
 ) -> None:
-    clock = Clock()
-    tokens = TokenFile(path, clock=clock)
     if gone:
         path.unlink()
     else:
@@ -166,11 +158,14 @@ def test_a_file_that_breaks_leaves_the_tokens_as_they_were(
 
 @pytest.mark.parametrize("fault", [errno.EMFILE, errno.EACCES])
 def test_a_token_that_is_taken_away_does_not_outlive_a_failed_read(
-    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, fault: int
+    path: Path,
+    tokens: TokenFile,
+    clock: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    fault: int,
 ) -> None:
     """The service may have too many open files, or the file its owner not set yet."""
-    clock = Clock()
-    tokens = TokenFile(path, clock=clock)
     path.write_text(OTHER)
 
     def fail(*_: object, **__: object) -> str:
@@ -187,10 +182,8 @@ def test_a_token_that_is_taken_away_does_not_outlive_a_failed_read(
 
 
 def test_who_takes_the_last_token_away_shuts_everybody_out(
-    path: Path, caplog: pytest.LogCaptureFixture
+    path: Path, tokens: TokenFile, clock: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
-    clock = Clock()
-    tokens = TokenFile(path, clock=clock)
     path.write_text("# nobody\n")
 
     for clock.now in (RELOAD_S, 2 * RELOAD_S):
@@ -202,9 +195,9 @@ def test_who_takes_the_last_token_away_shuts_everybody_out(
     assert tokens.find("second") is not None
 
 
-def test_a_change_is_seen_though_time_and_size_are_the_same(path: Path) -> None:
-    clock = Clock()
-    tokens = TokenFile(path, clock=clock)
+def test_a_change_is_seen_though_time_and_size_are_the_same(
+    path: Path, tokens: TokenFile, clock: Any
+) -> None:
     before = path.stat()
     path.write_text(path.read_text().replace(GOOD, token_line("robot-7", ("infer",), "other")))
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))

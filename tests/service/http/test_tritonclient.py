@@ -9,30 +9,19 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from served import app_of
 
 from anchorflow_client import AnchorClient
-from anchorflow_service.bundle import load_bundle
-from anchorflow_service.engine import Engine
-from anchorflow_service.http import create_app
-from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.repository import BundleFolders, Repository
 
 triton = pytest.importorskip("tritonclient.http", reason="tritonclient[http] is not installed")
+Refused = pytest.importorskip("tritonclient.utils").InferenceServerException
 
 PATIENCE_S = 20.0
 
 
-def opened(folder: Path) -> Engine:
-    return Engine(load_bundle(folder), threads=1)
-
-
 @pytest.fixture
 def app(tiny_bundle: Path) -> FastAPI:
-    """The tiny bundle, served."""
-    engine = opened(tiny_bundle)
-    service = PlanningService({"tiny": engine}, default="tiny", limits=ServiceLimits(threads=1))
-    repository = Repository(service.engines, BundleFolders([tiny_bundle]), opened)
-    return create_app(service, repository=repository)
+    return app_of(tiny_bundle)
 
 
 @pytest.fixture
@@ -136,22 +125,18 @@ def test_a_batch_of_scenes(client: Any, asked: dict[str, np.ndarray]) -> None:
 
 
 def test_refusals_reach_the_caller(client: Any, asked: dict[str, np.ndarray]) -> None:
-    from tritonclient.utils import InferenceServerException
-
     for model, parameters, words in (
         ("nobody", {}, "expected a model that is served"),
         ("tiny", {"num_samples": 0}, "num_samples: expected an integer"),
     ):
-        with pytest.raises(InferenceServerException) as caught:
+        with pytest.raises(Refused) as caught:
             client.infer(model, inputs_of(asked), parameters=parameters)
         assert words in str(caught.value.message())
 
 
 def test_a_timeout_in_microseconds_is_the_budget(client: Any, asked: dict[str, np.ndarray]) -> None:
-    from tritonclient.utils import InferenceServerException
-
     assert client.infer("tiny", inputs_of(asked), timeout=60_000_000)
-    with pytest.raises(InferenceServerException) as caught:
+    with pytest.raises(Refused) as caught:
         client.infer("tiny", inputs_of(asked), timeout=1)
     assert caught.value.status() == "504"
     assert "budget_ms: expected an answer within 0.001 ms" in str(caught.value.message())

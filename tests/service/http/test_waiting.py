@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -28,43 +29,28 @@ def test_health_answers_while_an_engine_is_busy(
     assert answer.result(PATIENCE_S).status_code == 200
 
 
-def test_one_too_many_is_told_when_to_come_back(
+@pytest.fixture
+def full(
     run: Any, engine: Any, gate: Any, fields: dict[str, Any], background: ThreadPoolExecutor
-) -> None:
-    planning = PlanningService(
-        {"a": engine}, default="a", limits=ServiceLimits(max_waiting=0, threads=1)
-    )
-    service = run(create_app(planning))
+) -> Iterator[Any]:
+    """A service whose only place is taken until the gate opens; then it answers again."""
+    limits = ServiceLimits(max_waiting=0, threads=1)
+    service = run(create_app(PlanningService({"a": engine}, default="a", limits=limits)))
     answer = background.submit(service.post, fields)
     assert gate.reached.wait(PATIENCE_S)
-
-    with pytest.raises(Overloaded, match="try again in 1 s") as caught:
-        AnchorClient("http://test", transport=service).plan(**fields)
-    assert (caught.value.http_status, caught.value.retry_after_s) == (429, 1)
-
+    yield service
     gate.opened.set()
     assert answer.result(PATIENCE_S).status_code == 200
     assert service.post(fields).status_code == 200
+    assert service.post(b"nonsense").status_code == 422
+
+
+def test_one_too_many_is_told_when_to_come_back(full: Any, fields: dict[str, Any]) -> None:
+    with pytest.raises(Overloaded, match="try again in 1 s") as caught:
+        AnchorClient("http://test", transport=full).plan(**fields)
+    assert (caught.value.http_status, caught.value.retry_after_s) == (429, 1)
 
 
 @pytest.mark.parametrize("path", ["/anchors", "/page/flow"])
-def test_for_whom_there_is_no_place_nothing_is_read(
-    run: Any,
-    engine: Any,
-    gate: Any,
-    fields: dict[str, Any],
-    background: ThreadPoolExecutor,
-    path: str,
-) -> None:
-    planning = PlanningService(
-        {"a": engine}, default="a", limits=ServiceLimits(max_waiting=0, threads=1)
-    )
-    service = run(create_app(planning))
-    answer = background.submit(service.post, fields)
-    assert gate.reached.wait(PATIENCE_S)
-
-    assert service.request("POST", path, content=b"nonsense").status_code == 429
-
-    gate.opened.set()
-    assert answer.result(PATIENCE_S).status_code == 200
-    assert service.request("POST", path, content=b"nonsense").status_code == 422
+def test_for_whom_there_is_no_place_nothing_is_read(full: Any, path: str) -> None:
+    assert full.post(b"nonsense", path).status_code == 429

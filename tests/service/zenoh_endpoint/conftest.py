@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import shutil
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -13,27 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import straight_lines
 from anyio.from_thread import start_blocking_portal
-from blocking_twin import Blocking
 
-from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient, ZenohSettings
+from anchorflow_benchmarks.programs import Program, router_command, running
+from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
-PROGRAMS = Path(__file__).parent / "programs"
-
 KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
 
 Serve = Callable[..., ZenohEndpoint]
-Start = Callable[..., subprocess.Popen[str]]
-
-
-@pytest.fixture
-def endpoint() -> str:
-    """Return an endpoint without a listener."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return f"tcp/127.0.0.1:{listener.getsockname()[1]}"
+Start = Callable[..., Program]
 
 
 @pytest.fixture
@@ -66,41 +56,29 @@ def client(replica: ZenohEndpoint, endpoint: str) -> Iterator[ZenohAnchorClient]
         yield client
 
 
-@pytest.fixture(params=["blocking", "async"])
-def any_client(
-    request: pytest.FixtureRequest, replica: ZenohEndpoint, endpoint: str
-) -> Iterator[Any]:
-    """A blocking client of that replica, or an async one with a blocking interface."""
-    assert replica.replica == "a"
-    if request.param == "blocking":
-        with ZenohAnchorClient(endpoint, timeout_s=20) as client:
-            yield client
-    else:
-        loop = asyncio.new_event_loop()
-        with Blocking(AsyncZenohAnchorClient(endpoint, timeout_s=20), loop) as client:
-            yield client
-        loop.close()
+@pytest.fixture
+def start_router(endpoint: str) -> Iterator[Start]:
+    """Starts a router at `endpoint` or `at` another one, by a config file if one is given."""
+    with ExitStack() as stack:
+
+        def start(*config_file: Path, at: str = endpoint) -> Program:
+            router = Program("router", router_command(at, *config_file))
+            return stack.enter_context(running(router))
+
+        yield start
 
 
 @pytest.fixture
-def start() -> Iterator[Start]:
-    """Starts a program of `programs/` and waits for its first line; kills it at the end."""
+def start_replica(endpoint: str) -> Iterator[Start]:
+    """Starts a replica in a process of its own, which takes some seconds for an answer."""
+    program = Path(straight_lines.__file__).with_name("slow_replica.py")
     with ExitStack() as stack:
 
-        def run(program: str, *arguments: object, cwd: Path | None = None) -> subprocess.Popen[str]:
-            process = subprocess.Popen(
-                [sys.executable, str(PROGRAMS / program), *map(str, arguments)],
-                stdout=subprocess.PIPE,
-                text=True,
-                cwd=cwd,
-            )
-            stack.enter_context(process)
-            stack.callback(process.kill)
-            assert process.stdout is not None
-            assert process.stdout.readline() == "up\n"
-            return process
+        def start(name: str, seconds: float, *listen: str) -> Program:
+            command = [sys.executable, str(program), endpoint, name, str(seconds), *listen]
+            return stack.enter_context(running(Program(name, command)))
 
-        yield run
+        yield start
 
 
 class Authority:

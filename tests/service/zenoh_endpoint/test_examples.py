@@ -57,11 +57,16 @@ def test_clients_reconnect_as_soon_as_without_a_file(name: str) -> None:
     ],
 )
 def test_a_robot_reaches_a_service(
-    start: Any, serve: Any, endpoint: str, fields: dict[str, Any], service: str, robot: str | None
+    start_router: Any,
+    serve: Any,
+    endpoint: str,
+    fields: dict[str, Any],
+    service: str,
+    robot: str | None,
 ) -> None:
     client = endpoint if robot is None else example(robot, connect=(endpoint,))
     if service.startswith("behind "):
-        start("router.py", endpoint, EXAMPLES / service.removeprefix("behind "))
+        start_router(EXAMPLES / service.removeprefix("behind "))
         serve(client)
     else:
         serve(example(service, listen=(endpoint,)))
@@ -71,7 +76,7 @@ def test_a_robot_reaches_a_service(
 
 
 def test_both_ends_show_a_certificate(
-    start: Any,
+    start_router: Any,
     serve: Any,
     authority: Callable[..., Any],
     tmp_path: Path,
@@ -84,7 +89,7 @@ def test_both_ends_show_a_certificate(
     ca.sign("node")
     where = endpoint.replace("tcp/", "tls/")
     monkeypatch.chdir(tmp_path)  # the files name certificates/…
-    start("router.py", where, EXAMPLES / "router-tls.json5", cwd=tmp_path)
+    start_router(EXAMPLES / "router-tls.json5", at=where)
     node = example("client-tls.json5", connect=(where,))
     serve(node)
 
@@ -93,10 +98,17 @@ def test_both_ends_show_a_certificate(
 
 
 def test_each_user_has_its_own_rights(
-    start: Any, serve: Any, engine: Any, tmp_path: Path, endpoint: str, fields: dict[str, Any]
+    start_router: Any,
+    serve: Any,
+    engine: Any,
+    tmp_path: Path,
+    endpoint: str,
+    fields: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shutil.copy(EXAMPLES / "users.txt", tmp_path)
-    start("router.py", endpoint, EXAMPLES / "router-access.json5", cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    start_router(EXAMPLES / "router-access.json5")
 
     def user(name: str, password: str) -> ZenohSettings:
         return example("client-password.json5", connect=(endpoint,), user=name, password=password)

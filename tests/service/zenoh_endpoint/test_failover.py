@@ -6,25 +6,23 @@ import logging
 import os
 import queue
 import signal
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
-from anchorflow_benchmarks.programs import Program, router_command, running
+from anchorflow_benchmarks.programs import Program
 from anchorflow_client import AnchorBatch, AnchorRequest, ConnectionFailed, TimedOut
 from anchorflow_client.zenoh_client import ZenohAnchorClient
 
-REPLICA = Path(__file__).parent / "programs" / "replica.py"
 SECONDS = float(os.environ.get("ANCHORFLOW_FAILOVER_SECONDS", "4"))
 """Duration of the run with a kill and a return."""
 HZ, KILL_AT, BACK_AT = 20, 0.3, 0.5  # shares of the run
+Start = Callable[..., Program]
 CLIENT_LOG = "anchorflow_client.zenoh_client.failover"
 
 
@@ -77,22 +75,11 @@ def kill_in_mid_answer(by_name: Mapping[str, Program], seen: Witness, *, after_s
     return victim
 
 
-def replica(name: str, endpoint: str, answer_s: float) -> Program:
-    return Program(name, [sys.executable, str(REPLICA), endpoint, name, str(answer_s)])
-
-
 @pytest.fixture
-def router(endpoint: str) -> Iterator[Program]:
-    with running(Program("router", router_command(endpoint))) as router:
-        yield router
-
-
-@pytest.fixture
-def two(router: Program, endpoint: str) -> Iterator[list[Program]]:
-    """Replicas "a" and "b" behind the router, with 40 ms for an answer."""
-    assert router.name == "router"
-    with ExitStack() as stack:
-        yield [stack.enter_context(running(replica(name, endpoint, 0.04))) for name in "ab"]
+def two(start_router: Start, start_replica: Start) -> list[Program]:
+    """Replicas "a" and "b" behind a router, with 40 ms for an answer."""
+    start_router()
+    return [start_replica(name, 0.04) for name in "ab"]
 
 
 @pytest.fixture
@@ -137,16 +124,21 @@ def test_no_request_is_lost_while_a_replica_is_killed_and_comes_back(
 
 
 def test_a_budget_holds_for_the_failover_too(
-    router: Program, endpoint: str, fields: dict[str, Any], until: Any
+    start_router: Start,
+    start_replica: Start,
+    endpoint: str,
+    fields: dict[str, Any],
+    until: Any,
 ) -> None:
     """The first replica dies during the request, and the second has too little time."""
-    assert router.name == "router"
-    with ExitStack() as stack:
-        slow = [stack.enter_context(running(replica(name, endpoint, 60.0))) for name in "ab"]
-        client = stack.enter_context(ZenohAnchorClient(endpoint))
+    start_router()
+    by_name = {name: start_replica(name, 60.0) for name in "ab"}
+    with (
+        ZenohAnchorClient(endpoint) as client,
+        witness() as seen,
+        ThreadPoolExecutor(1) as executor,
+    ):
         assert client.ready()
-        by_name = {process.name: process for process in slow}
-        seen, executor = stack.enter_context(witness()), stack.enter_context(ThreadPoolExecutor(1))
         deaf = seen.on_asking
         killing = executor.submit(kill_in_mid_answer, by_name, seen, after_s=0.2)
         until(lambda: seen.on_asking is not deaf)
@@ -170,7 +162,7 @@ def test_a_replica_that_hangs_is_not_waited_for_alone(
         finally:
             two[0].signal(signal.SIGCONT)
 
-    assert [answer.model.name for answer in answers] == ["sleeper"] * 4
+    assert [answer.model.name for answer in answers] == ["lines"] * 4
     assert seen.asked["a"] >= 1
 
 

@@ -6,24 +6,19 @@ The service is another process, called over zenoh by a `Planner`; the loop runs 
 from __future__ import annotations
 
 import signal
-import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from anchorflow_benchmarks.programs import Program, router_command, running
 from anchorflow_client import ConnectionFailed, PlannerConfig, TimedOut
 from anchorflow_client.planner import Planner
 from anchorflow_client.planner.plan import Plan, PlanState
 from anchorflow_client.zenoh_client import ZenohAnchorClient
 
-REPLICA = Path(__file__).parent / "programs" / "replica.py"
 LOST_S = 2.0
 TICK_S = 0.02
 PATIENCE_S = 60.0
@@ -99,17 +94,19 @@ class Loop:
 @pytest.mark.parametrize(
     ("where", "how"), [("behind a router", "killed"), ("alone", "killed"), ("alone", "stopped")]
 )
-def test_a_service_that_is_lost_for_2_s(endpoint: str, where: str, how: str) -> None:
+def test_a_service_that_is_lost_for_2_s(
+    start_router: Any, start_replica: Any, endpoint: str, where: str, how: str
+) -> None:
     listens = ["listen"] if where == "alone" else []
-    command = [sys.executable, str(REPLICA), endpoint, "a", "0.01", *listens]
-    with ExitStack() as stack:
-        if not listens:
-            stack.enter_context(running(Program("router", router_command(endpoint))))
-        service = stack.enter_context(running(Program("a", command)))
-        client = stack.enter_context(ZenohAnchorClient(endpoint, timeout_s=1.0))
-        loop = Loop(stack.enter_context(Planner(client, CONFIG)))
-        executor = stack.enter_context(ThreadPoolExecutor(1))
-
+    if not listens:
+        start_router()
+    service = start_replica("a", 0.01, *listens)
+    with (
+        ZenohAnchorClient(endpoint, timeout_s=1.0) as client,
+        Planner(client, CONFIG) as planner,
+        ThreadPoolExecutor(1) as executor,
+    ):
+        loop = Loop(planner)
         loop.run_until_answered()
         end = time.monotonic() + 0.5
         loop.run(lambda _: time.monotonic() >= end)

@@ -70,9 +70,9 @@ def test_an_unloaded_default_is_replaced_by_no_other(
 
 
 def test_after_an_unload_at_one_replica_the_other_is_queried(
-    start: Any, serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
+    start_router: Any, serve: Any, endpoint: str, engine: Any, fields: dict[str, Any]
 ) -> None:
-    start("router.py", endpoint)
+    start_router()
     at_router = ZenohSettings(mode="client", connect=(endpoint,))
     services = {
         name: PlanningService({"lines": named(engine, "lines", name)}, default="lines")

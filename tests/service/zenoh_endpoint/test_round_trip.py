@@ -1,81 +1,25 @@
-"""The real client against the real endpoint over loopback."""
+"""The real clients, blocking and async, against the real endpoint over loopback."""
 
 from __future__ import annotations
 
+import asyncio
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import numpy as np
 import pytest
 
 from anchorflow_client import (
-    AnchorBatch,
     AnchorRequest,
     Cancellation,
     Cancelled,
     ConnectionFailed,
-    InternalError,
-    InvalidRequest,
     Overloaded,
     TimedOut,
-    UnknownModel,
 )
-from anchorflow_client.contract.batch import ARRAY_DTYPES
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
+from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient, ZenohSettings
+from anchorflow_service.planning import PlanningService, ServiceLimits
 
 PATIENCE_S = 20
-
-
-class Outcomes(Observer):
-    """Records the outcome of every call."""
-
-    def __init__(self) -> None:
-        self.seen: list[str] = []
-
-    def ended(self, call: Call, outcome: str) -> None:  # noqa: ARG002
-        self.seen.append(outcome)
-
-
-def test_answers_cards_and_refusals_are_the_services(
-    any_client: Any, engine: Any, fields: dict[str, Any]
-) -> None:
-    assert any_client.live()
-    assert any_client.ready()
-    cards = any_client.models()
-    assert [card.name for card in cards] == ["lines", "bows"]
-    assert cards[0] == engine.card
-
-    anchors = any_client.plan(**fields, request_id="r1")
-    planned = engine.plan(engine.seen[0])
-    for name in ARRAY_DTYPES:
-        np.testing.assert_array_equal(getattr(anchors, name), getattr(planned, name))
-    assert (anchors.dt, anchors.seed, anchors.model) == (planned.dt, 1, engine.card.id)
-    assert set(anchors.timing_ms) == {"queue", "encode", "sample", "refine", "total"}
-    assert anchors.request_id == "r1"
-    assert len(any_client.plan(**fields).request_id or "") == 32
-
-    assert any_client.plan(**fields, model="bows").model.name == "bows"
-    with pytest.raises(UnknownModel, match=r"is served \(bows, lines\), got 'nobody'"):
-        any_client.plan(**fields, model="nobody")
-    with pytest.raises(InvalidRequest, match="expected 2 m/s, which lines") as caught:
-        any_client.plan(**fields, v_max=9.0)
-    assert (caught.value.field, caught.value.http_status) == ("v_max", 422)
-
-
-def test_a_failure_is_internal_without_its_details(
-    client: ZenohAnchorClient, engine: Any, fields: dict[str, Any], caplog: Any
-) -> None:
-    def explode(_: AnchorBatch) -> AnchorBatch:
-        raise ZeroDivisionError("secret detail")
-
-    engine.before_answer = explode
-
-    with pytest.raises(InternalError, match="the log tells of request r7") as caught:
-        client.plan(**fields, request_id="r7")
-    assert "secret" not in str(caught.value)
-    assert "request r7 failed" in caplog.text
-    assert "secret detail" in caplog.text
 
 
 def test_the_request_carries_the_time_left(
@@ -156,11 +100,10 @@ def test_a_newer_request_of_a_robot_ends_the_cancelled_one(
     client: ZenohAnchorClient,
     planning: PlanningService,
     gate: Any,
+    outcomes: Any,
     fields: dict[str, Any],
     until: Any,
 ) -> None:
-    outcomes = Outcomes()
-    planning.watch(outcomes)
     cancellation = Cancellation()
     request = AnchorRequest.from_fields(fields | {"robot_id": "r1"})
     with ThreadPoolExecutor(2) as executor:
@@ -209,8 +152,10 @@ def test_no_listener(endpoint: str, fields: dict[str, Any]) -> None:
                 client.plan(**fields)
 
 
-def test_a_router_without_a_service(start: Any, endpoint: str, fields: dict[str, Any]) -> None:
-    start("router.py", endpoint)
+def test_a_router_without_a_service(
+    start_router: Any, endpoint: str, fields: dict[str, Any]
+) -> None:
+    start_router()
     with ZenohAnchorClient(endpoint) as client:
         assert not client.live()
         with pytest.raises(ConnectionFailed, match="no service is alive there"):
@@ -233,3 +178,17 @@ def test_the_queue_is_the_services(
         assert caught.value.retry_after_s == 1
         gate.opened.set()
         assert occupied.result(PATIENCE_S).seed == 1
+
+
+@pytest.mark.anyio
+@pytest.mark.usefixtures("replica")
+async def test_a_cancelled_task_frees_its_thread(
+    endpoint: str, gate: Any, fields: dict[str, Any]
+) -> None:
+    async with AsyncZenohAnchorClient(endpoint, max_threads=1) as client:
+        asked = asyncio.ensure_future(client.plan(**fields))
+        assert await asyncio.to_thread(gate.reached.wait, PATIENCE_S)
+        asked.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asked
+        assert await client.live()  # there is one thread, and the engine is still at work

@@ -119,15 +119,14 @@ def test_a_wrong_password_is_refused(
 
 
 def test_a_node_that_was_connected_before_is_not_called_unauthorized(
-    start: Any, endpoint: str, fields: dict[str, Any], until: Any
+    start_replica: Any, endpoint: str, fields: dict[str, Any], until: Any
 ) -> None:
     """A restarted service listens before zenoh has reconnected."""
-    service = start("replica.py", endpoint, "a", 0.0, "listen")
+    service = start_replica("a", 0.0, "listen")
     port = int(endpoint.rpartition(":")[2])
     with ZenohAnchorClient(endpoint, timeout_s=20) as client:
         client.plan(**fields)
         service.kill()
-        service.wait()
         with socket.create_server(("127.0.0.1", port)):  # and says nothing yet
             until(lambda: not client.live())
             with pytest.raises(ConnectionFailed, match="the connection broke and is not mended"):
@@ -154,7 +153,7 @@ def rules(*denied: str) -> dict[str, Any]:
 
 @pytest.fixture
 def guarded(
-    start: Any, serve: Any, users: Path, endpoint: str, tmp_path: Path
+    start_router: Any, serve: Any, users: Path, endpoint: str, tmp_path: Path
 ) -> Callable[..., Callable[[str], ZenohSettings]]:
     """Serve behind a router that denies keys to guests, and return users' settings."""
 
@@ -165,7 +164,7 @@ def guarded(
         }
         file = tmp_path / "router.json5"
         file.write_text(json.dumps(config))
-        start("router.py", endpoint, file)
+        start_router(file)
 
         def settings(user: str) -> ZenohSettings:
             return ZenohSettings(

@@ -1,8 +1,4 @@
-"""A planner without a cost map uses the same paths as one with a map.
-
-The camera planner of tests/planners/ over JSON, binary, zenoh and the Open Inference Protocol, and
-in batches.
-"""
+"""Pictures in requests: files as base64, nested lists, and the tensors of the protocol's client."""
 
 from __future__ import annotations
 
@@ -10,34 +6,25 @@ import base64
 import io
 import json
 import re
-import socket
 import struct
 import warnings
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from anyio.from_thread import start_blocking_portal
 from fastapi import FastAPI
-from image_planner import HEIGHT, WIDTH, K, expected
+from image_planner import HEIGHT, WIDTH, expected
 from PIL import ExifTags, Image
+from served import app_of
 
-from anchorflow_client import AnchorBatch, AnchorClient, JsonCodec, OipCodec
+from anchorflow_client import AnchorClient, JsonCodec
 from anchorflow_client.contract import EncodedImage
 from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
-from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.session import open_session
-from anchorflow_service.http import create_app
 from anchorflow_service.http import orjson_codec as images
 from anchorflow_service.http.orjson_codec import decoded
-from anchorflow_service.local import LocalClient
-from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.repository import BundleFolders, Repository
-from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 
 MODEL = "tiny-camera"
 SPEED = 3.0
@@ -52,158 +39,15 @@ def encoded(grey: int, image_format: str = "PNG", size: tuple[int, int] = (WIDTH
     return written(Image.new("RGB", size, (grey, grey, grey)), image_format)
 
 
-def written(image: Image.Image, image_format: str = "PNG") -> bytes:
+def written(image: Image.Image, image_format: str = "PNG", **options: Any) -> bytes:
     data = io.BytesIO()
-    image.save(data, image_format)
+    image.save(data, image_format, **options)
     return data.getvalue()
 
 
-def assert_expected(anchors: AnchorBatch, grey: int, num_samples: int = K) -> None:
-    paths, scores = expected(grey / 255, SPEED)
-    np.testing.assert_allclose(anchors.trajectories, paths[:num_samples], atol=1e-5)
-    np.testing.assert_allclose(anchors.scores, scores[:num_samples], atol=1e-4)
-    assert (anchors.dt, anchors.first_s, anchors.model.name) == (0.5, 0.5, MODEL)
-
-
 @pytest.fixture
-def service_of_images(image_bundle: Path) -> PlanningService:
-    engine = LocalClient.of(image_bundle, threads=1).engine
-    return PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=2))
-
-
-@pytest.fixture
-def app(service_of_images: PlanningService, image_bundle: Path) -> FastAPI:
-    def opened(folder: Path) -> Any:
-        return LocalClient.of(folder, threads=1).engine
-
-    repository = Repository(service_of_images.engines, BundleFolders([image_bundle]), opened)
-    return create_app(service_of_images, repository=repository)
-
-
-@pytest.fixture(params=[JsonCodec(), OipCodec()], ids=["json", "binary"])
-def client(request: pytest.FixtureRequest, service: Any) -> Iterator[AnchorClient]:
-    with AnchorClient("http://test", transport=service, codec=request.param) as client:
-        yield client
-
-
-def test_the_best_come_first(client: AnchorClient) -> None:
-    anchors = client.plan(inputs={"camera": picture(153), "ego_status": STATUS})
-
-    assert list(anchors.arrays) == ["trajectories", "scores"]
-    assert_expected(anchors, 153)
-    assert anchors.best == 0
-    with pytest.raises(LookupError, match="clearance: tiny-camera gives none"):
-        _ = anchors.clearance
-
-
-def test_num_samples_are_the_best_n(client: AnchorClient) -> None:
-    inputs = {"camera": picture(40), "ego_status": STATUS}
-    assert_expected(client.plan(inputs=inputs, num_samples=2), 40, num_samples=2)
-
-    with pytest.raises(InvalidRequest, match=r"num_samples: expected 1 to 6, .* got 7"):
-        client.plan(inputs=inputs, num_samples=7)
-
-
-def test_extras_come_where_they_are_asked_for(client: AnchorClient) -> None:
-    inputs = {"camera": picture(153), "ego_status": STATUS}
-    anchors = client.plan(inputs=inputs, num_samples=3, outputs=["goals", "bev_semantics"])
-
-    np.testing.assert_array_equal(anchors.arrays["goals"], anchors.trajectories[:, -1, :2])
-    np.testing.assert_allclose(anchors.arrays["bev_semantics"], picture(153) / 255, rtol=1e-6)
-    with pytest.raises(InvalidRequest, match=r"outputs: expected one of .*bev_semantics, got"):
-        client.plan(inputs=inputs, outputs=["depth"])
-
-
-def test_a_batch_equals_its_scenes_alone(client: AnchorClient) -> None:
-    greys = (0, 100, 200, 255)
-    cameras = np.stack([picture(grey) for grey in greys])
-    together = client.plan(inputs={"camera": cameras, "ego_status": STATUS}, num_samples=4)
-
-    assert together.trajectories.shape == (4, 4, 8, 3)
-    for scene, camera in enumerate(cameras):
-        alone = client.plan(inputs={"camera": camera, "ego_status": STATUS}, num_samples=4)
-        for name, array in alone.arrays.items():
-            assert together.arrays[name][scene].tobytes() == array.tobytes()
-
-
-def test_the_card_says_how_to_ask(client: AnchorClient) -> None:
-    (card,) = client.models()
-
-    assert [spec.name for spec in card.inputs] == ["camera", "ego_status"]
-    assert (card.conditioning.kind, card.sampler.kind, card.finish.kind) == (
-        "tensors",
-        "vocabulary",
-        "none",
-    )
-    assert (card.T, card.D, card.time.first_s) == (8, 3, 0.5)
-    with pytest.raises(InvalidRequest, match="tiny-camera takes no cost map; its inputs are cam"):
-        _ = card.cost_map
-
-
-ODD: dict[str, tuple[dict[str, Any], str]] = {
-    "missing": ({"ego_status": None}, "inputs.ego_status: this field is required"),
-    "unknown": ({"radar": [1.0]}, "inputs.radar: unknown field"),
-    "another dtype": (
-        {"camera": picture(3).astype(np.float32)},
-        r"inputs.camera: expected uint8 \[3,16,24\] or \[B,3,16,24\], got an array of float32",
-    ),
-    "another shape": (
-        {"camera": picture(3)[:, :8]},
-        r"inputs.camera: expected shape \[3,16,24\] .*got an array of uint8 and shape \[3, 8, 24\]",
-    ),
-    "seven numbers": (
-        {"ego_status": np.zeros(7, np.float32)},
-        r"inputs.ego_status: expected shape \[4\] or \[B,4\], got .* shape \[7\]",
-    ),
-    "not a number": (
-        {"ego_status": np.array([0, np.nan, 0, 0], np.float32)},
-        r"expected finite numbers, got nan at inputs.ego_status\[1\]",
-    ),
-    "out of range": (
-        {"ego_status": np.array([0, 0, 99, 0], np.float32)},
-        r"expected numbers in \[-60, 60\] .*got 99.0 at inputs.ego_status\[2\]",
-    ),
-    "text": ({"ego_status": "fast"}, "inputs.ego_status: expected float32, got text"),
-    "batches that differ": (
-        {"camera": np.stack([picture(1)] * 2), "ego_status": np.stack([STATUS] * 3)},
-        "inputs.ego_status: expected B = 2 as in inputs.camera, got 3",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", ODD)
-def test_what_is_not_the_cards_is_refused_by_name(client: AnchorClient, case: str) -> None:
-    change, words = ODD[case]
-    inputs = {"camera": picture(3), "ego_status": STATUS, **change}
-    inputs = {name: value for name, value in inputs.items() if value is not None}
-
-    with pytest.raises(InvalidRequest, match=words) as caught:
-        client.plan(inputs=inputs)
-    assert str(caught.value.field) in words
-
-
-@pytest.mark.parametrize(
-    ("fields", "field"),
-    [
-        ({"v_max": 3.0}, "v_max"),
-        ({"sampler": {"method": "rk4"}}, "sampler"),
-        ({"refine": {"smooth": True}}, "refine"),
-        ({"warm_start": {"trajectory": [[0, 0], [1, 1]]}}, "warm_start"),
-    ],
-)
-def test_what_this_planner_has_no_use_for_is_refused(
-    client: AnchorClient, fields: dict[str, Any], field: str
-) -> None:
-    with pytest.raises(InvalidRequest) as caught:
-        client.plan(inputs={"camera": picture(3), "ego_status": STATUS}, **fields)
-    assert caught.value.field == field
-
-
-def test_a_map_is_refused(client: AnchorClient) -> None:
-    with pytest.raises(InvalidRequest, match=r"cost_map: unknown to tiny-camera.* inputs\.camera"):
-        client.plan(
-            cost_map=np.zeros((16, 16)), resolution=0.5, x_curr=[0.0] * 6, x_goal=[1.0, 0, 0, 0]
-        )
+def app(image_bundle: Path) -> FastAPI:
+    return app_of(image_bundle)
 
 
 def post(service: Any, camera: Any, status: Any = (SPEED, 0, 0, 0)) -> Any:
@@ -242,19 +86,17 @@ def test_a_picture_is_turned_as_its_exif_says(orientation: int) -> None:
     lying = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
-    data = io.BytesIO()
-    Image.fromarray(lying).save(data, "PNG", exif=exif)
+    data = written(Image.fromarray(lying), exif=exif)
 
-    pixels = decoded(EncodedImage("png", data.getvalue()), "camera")
+    pixels = decoded(EncodedImage("png", data), "camera")
 
     np.testing.assert_array_equal(pixels.transpose(1, 2, 0), UPRIGHT[orientation - 1](lying))
 
 
 def test_a_picture_with_broken_exif_stays_as_it_lies() -> None:
-    data = io.BytesIO()
-    Image.new("RGB", (WIDTH, HEIGHT)).save(data, "JPEG", exif=b"Exif\0\0no TIFF")
+    data = written(Image.new("RGB", (WIDTH, HEIGHT)), "JPEG", exif=b"Exif\0\0no TIFF")
 
-    assert decoded(EncodedImage("jpeg", data.getvalue()), "camera").shape == (3, HEIGHT, WIDTH)
+    assert decoded(EncodedImage("jpeg", data), "camera").shape == (3, HEIGHT, WIDTH)
 
 
 def base64_of(data: bytes) -> str:
@@ -266,9 +108,7 @@ def with_odd_exif() -> bytes:
     entries = [(ExifTags.Base.Orientation, 3, 1, 6), (ExifTags.Base.Make, 2, 99, 900)]
     tiff = b"II*\0" + struct.pack("<IH", 8, len(entries))
     tiff += b"".join(struct.pack("<HHII", *entry) for entry in entries) + bytes(4)
-    data = io.BytesIO()
-    Image.new("RGB", (HEIGHT, WIDTH)).save(data, "JPEG", exif=b"Exif\0\0" + tiff)
-    return data.getvalue()
+    return written(Image.new("RGB", (HEIGHT, WIDTH)), "JPEG", exif=b"Exif\0\0" + tiff)
 
 
 def with_half_transparent_colours() -> bytes:
@@ -411,23 +251,6 @@ def test_nested_lists_are_numbers_of_the_cards_type(service: Any) -> None:
         assert refused["field"] == "inputs.camera"
         message = f"expected uint8 numbers, got {float(stray)} at inputs.camera[2][0][7]"
         assert refused["message"] == message
-
-
-def test_zenoh_carries_pixels(service_of_images: PlanningService) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        endpoint = f"tcp/127.0.0.1:{listener.getsockname()[1]}"
-    session = open_session(ZenohSettings(listen=(endpoint,)))
-    app = create_app(service_of_images, endpoints=[ZenohEndpoint(service_of_images, session)])
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
-        ZenohAnchorClient(endpoint, timeout_s=20) as client,
-    ):
-        inputs = {"camera": picture(153), "ego_status": STATUS}
-        assert_expected(client.plan(inputs=inputs), 153)
-        assert client.models()[0].inputs[0].dtype == "uint8"
-        with pytest.raises(InvalidRequest, match=r"inputs\.camera: this field is required"):
-            client.plan(inputs={"ego_status": STATUS})
 
 
 def test_any_client_of_the_protocol_may_ask(app: FastAPI, listen: Callable[[FastAPI], str]) -> None:
