@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.scene_files import CHANNELS, load_scenes
+from anchorflow_benchmarks.scene_files import load_scenes
 from anchorflow_client.contract import (
     EIGHT_STEP_SCHEDULE,
     AnchorRequest,
@@ -32,7 +32,7 @@ from anchorflow_trajectory.motion import MotionLimits, nominal_duration, ramp_sh
 from anchorflow_trajectory.ode.methods import method_named
 from anchorflow_trajectory.routes.search import polyline_length
 from anchorflow_trajectory.routes.splines import LEAST_WAY
-from anchorflow_trajectory.scene import Scene, with_neutral_channels
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
 
 Array = NDArray[np.float64]
@@ -159,7 +159,7 @@ def scene_of(request: ResolvedRequest) -> Scene:
     assert request.limits is not None  # the card has a cost map
     cost_map = request.cost_map
     return Scene(
-        cost_map=with_neutral_channels(cost_map.data[0], CHANNELS),
+        cost_map=cost_map.data[0],
         resolution=cost_map.resolution,
         origin=cost_map.origin,
         robot_radius=request.limits.robot_radius,
@@ -168,6 +168,8 @@ def scene_of(request: ResolvedRequest) -> Scene:
         w_style=request.w_style[0],
         motion=MotionLimits(request.limits.v_max, request.limits.a_max, request.limits.horizon_s),
         certified_margin=request.certified_margin,
+        cost_penalty=request.cost_penalty,
+        channel_weights=cost_map.channel_weights,
     )
 
 

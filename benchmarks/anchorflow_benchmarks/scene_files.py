@@ -19,13 +19,11 @@ from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.scenes import FamilyScene, RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.homotopy import Signature
-from anchorflow_trajectory.scene import with_neutral_channels
 
 Chosen = TypeVar("Chosen")
 
 DRAWN = "drawn"
 WITHOUT_FILE = f"{DRAWN}:60:0"
-CHANNELS = 3  # occupancy, traversability, risk
 HELD_OUT = 0x5EED  # separates drawn scenes from those of a dataset with the same seed
 STYLE = np.array(DEFAULT_STYLE, np.float32)
 ONE_ROBOT = RobotRanges(usual=1.0, fixed=0.0)
@@ -179,10 +177,10 @@ def _scene(
     x_goal: NDArray[np.float32],
     limits: MotionLimits,
 ) -> FamilyScene:
-    """Return a scene whose other channels are neutral."""
+    """Return a scene without soft costs."""
     return FamilyScene(
         family=family,
-        cost_map=with_neutral_channels(occupied[None].astype(np.float32), CHANNELS),
+        cost_map=occupied[None].astype(np.float32),
         resolution=resolution,
         origin=-0.5 * resolution * np.array(occupied.shape[::-1], np.float64),
         robot_radius=radius,

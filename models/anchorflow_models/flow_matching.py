@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from anchorflow_models.checks import check
+
 
 def interpolate(x_0: Tensor, x_1: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
     """Return x_t on the straight path and the field's target there, x_1 - x_0.
@@ -42,8 +44,7 @@ class LossWeights:
 
     def __post_init__(self) -> None:
         for name, weight in vars(self).items():
-            if weight < 0:
-                raise ValueError(f"{name}: expected at least 0, got {weight}")
+            check(name, weight >= 0, "at least 0", weight)
 
 
 def flow_matching_loss(

@@ -47,12 +47,22 @@ def test_what_is_left_open_is_the_cards(fields: dict[str, Any], card: ModelCard)
 def test_a_partial_choice_keeps_the_rest_of_the_cards(
     fields: dict[str, Any], card: ModelCard
 ) -> None:
-    fields |= {"sampler": {"schedule": "8step"}, "refine": {"smooth": False}}
+    fields |= {"sampler": {"schedule": "8step"}, "refine": {"project": False}}
 
     resolved = resolve_for_card(AnchorRequest.from_fields(fields), card)
 
     assert resolved.sampler == OdeSpec("rk4", EIGHT_STEP_SCHEDULE)
-    assert resolved.refine == RefineSpec(False, True, 0.05, 0.0)
+    assert resolved.refine == RefineSpec(True, False, 0.05, 0.0)
+
+
+@pytest.mark.parametrize("moves", ["project", "barrier"])
+def test_an_unfitted_spline_cannot_be_moved(
+    fields: dict[str, Any], card: ModelCard, moves: str
+) -> None:
+    fields["refine"] = {"smooth": False, "project": False} | {moves: True}
+    with pytest.raises(InvalidRequest, match=f"expected true, or refine.{moves} false") as caught:
+        resolve_for_card(AnchorRequest.from_fields(fields), card)
+    assert caught.value.field == "refine.smooth"
 
 
 def test_uniform_steps_become_times(fields: dict[str, Any], card: ModelCard) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 import torch
-from torch import Tensor, nn
+from flowmp_scenes import open_branches
+from torch import Tensor
 
 from anchorflow_models import (
     FlowMPTransformer,
@@ -19,16 +18,12 @@ Backbone = FlowMPTransformer | FlowMPUNet1D
 CREATE = {"transformer": create_flowmp_transformer, "unet": create_flowmp_unet1d}
 
 
-@pytest.fixture
-def make_backbone(open_branches: Callable[[nn.Module], None]) -> Callable[..., Backbone]:
-    def make(kind: str, num_steps: int = 45, **options: int) -> Backbone:
-        with torch.random.fork_rng():
-            torch.manual_seed(0)
-            backbone = CREATE[kind](num_steps=num_steps, feature_channels=3, **options)
-            open_branches(backbone)
-        return backbone.eval()
-
-    return make
+def make_backbone(kind: str, num_steps: int = 45, **options: int) -> Backbone:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        backbone = CREATE[kind](num_steps=num_steps, feature_channels=3, **options)
+        open_branches(backbone)
+    return backbone.eval()
 
 
 @torch.no_grad()
@@ -45,9 +40,7 @@ def inputs(steps: int = 45) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("steps_per_token", [1, 2, 4, 8])
-def test_a_token_covers_its_steps(
-    make_backbone: Callable[..., Backbone], steps_per_token: int
-) -> None:
+def test_a_token_covers_its_steps(steps_per_token: int) -> None:
     backbone = make_backbone("transformer", steps_per_token=steps_per_token)
     tokens = -(-45 // steps_per_token)
     assert backbone.positions.shape == (tokens, 128)
@@ -55,9 +48,7 @@ def test_a_token_covers_its_steps(
 
 
 @pytest.mark.parametrize("kind", CREATE)
-def test_the_last_step_is_repeated_inside(
-    make_backbone: Callable[..., Backbone], kind: str
-) -> None:
+def test_the_last_step_is_repeated_inside(kind: str) -> None:
     short, whole = make_backbone(kind, 45), make_backbone(kind, 48)
     weights = {k: v for k, v in short.state_dict().items() if k != "positions"}
     whole.load_state_dict(weights, strict=False)
@@ -70,9 +61,7 @@ def test_the_last_step_is_repeated_inside(
 
 
 @pytest.mark.parametrize("kind", CREATE)
-def test_first_and_last_step_hear_each_other(
-    make_backbone: Callable[..., Backbone], kind: str
-) -> None:
+def test_first_and_last_step_hear_each_other(kind: str) -> None:
     backbone, (x_t, features) = make_backbone(kind), inputs()
     base = fields(backbone, x_t, features)
     for changed, heard in ((0, -1), (-1, 0)):
@@ -82,7 +71,7 @@ def test_first_and_last_step_hear_each_other(
 
 
 @pytest.mark.parametrize("kind", CREATE)
-def test_every_shift_and_scale_is_used(make_backbone: Callable[..., Backbone], kind: str) -> None:
+def test_every_shift_and_scale_is_used(kind: str) -> None:
     backbone, (x_t, features) = make_backbone(kind), inputs()
     modulation = backbone.modulate(torch.randn(2, 256), torch.tensor([0.4])).detach()
     modulation.requires_grad_()
@@ -97,7 +86,7 @@ def test_a_fresh_field_is_zero(kind: str) -> None:
     assert not fields(CREATE[kind](num_steps=45, feature_channels=3), *inputs()).any()
 
 
-def test_the_unet_halves_three_times(make_backbone: Callable[..., Backbone]) -> None:
+def test_the_unet_halves_three_times() -> None:
     backbone, seen = make_backbone("unet"), []
     assert isinstance(backbone, FlowMPUNet1D)
     for block in (*backbone.down, *backbone.middle):

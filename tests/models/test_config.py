@@ -1,56 +1,138 @@
-"""Configurations of FlowMP: defaults, refusals, options."""
+"""Configurations: wrong fields of every planner, FlowMP's defaults and options."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import pytest
 import torch
+from flowmp_scenes import make_model, make_scene, means_of
+from small_configs import BACKBONE, DIFFUSIONDRIVE
+from tiny_wote import AHEAD
+from tiny_wote import TINY as WOTE
 from torch import Tensor
 
 from anchorflow_models import (
     L2Config,
-    L2SafetyCFM,
     create_flowmp_transformer,
     create_flowmp_unet1d,
     create_l2_safety_cfm,
 )
+from anchorflow_models.goalflow import GoalFlowConfig
+from anchorflow_models.v2x_vlm import V2XConfig
 
-WRONG = [
-    ({"variant": "tiny"}, "variant: expected one of 'small', 'base', 'large', got 'tiny'"),
-    ({"backbone": "mamba"}, "backbone: expected one of 'transformer', 'unet', got 'mamba'"),
-    ({"dim": 4}, "dim: expected one of 2, 3, got 4"),
-    ({"steps_per_token": 3}, "steps_per_token: expected one of 1, 2, 4, 8, got 3"),
-    ({"map_scales": 3}, "map_scales: expected one of 1, 2, got 3"),
-    ({"map_size": 60}, "map_size: expected a multiple of 8, got 60"),
-    ({"map_size": 0}, "map_size: expected at least 8, got 0"),
-    ({"map_channels": 0}, "map_channels: expected at least 1, got 0"),
-    ({"layers": -1}, "layers: expected at least 0, got -1"),
-    ({"feature_channels": -1}, "feature_channels: expected at least 0, got -1"),
-    ({"degree": 2}, "degree: expected at least 3, got 2"),
-    ({"num_control_points": 5}, "num_control_points: expected at least 6, got 5"),
-    ({"degree": 7, "num_control_points": 7}, "num_control_points: expected at least 8, got 7"),
-    ({"num_steps": 12}, "num_steps: expected at least num_control_points, 18, got 12"),
-    ({"num_steps": 64.0}, "num_steps: expected a value of type int, got 64.0"),
-    ({"num_steps": True}, "num_steps: expected a value of type int, got True"),
-    ({"map_attention": "yes"}, "map_attention: expected a value of type bool, got 'yes'"),
-    ({"map_lookup": 1}, "map_lookup: expected a value of type bool, got 1"),
-]
+BASES: dict[str, Any] = {
+    "flowmp": L2Config(),
+    "goalflow": GoalFlowConfig(),
+    "transfuser": BACKBONE,
+    "wote": WOTE,
+    "wote with the road ahead": AHEAD,
+    "diffusiondrive": DIFFUSIONDRIVE,
+    "v2x_vlm": V2XConfig(),
+}
+WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
+    "flowmp": [
+        ({"variant": "tiny"}, "variant: expected one of 'small', 'base', 'large', got 'tiny'"),
+        ({"backbone": "mamba"}, "backbone: expected one of 'transformer', 'unet', got 'mamba'"),
+        ({"dim": 4}, "dim: expected one of 2, 3, got 4"),
+        ({"steps_per_token": 3}, "steps_per_token: expected one of 1, 2, 4, 8, got 3"),
+        ({"map_scales": 3}, "map_scales: expected one of 1, 2, got 3"),
+        ({"map_size": 60}, "map_size: expected a multiple of 8, got 60"),
+        ({"map_size": 0}, "map_size: expected at least 8, got 0"),
+        ({"map_channels": 0}, "map_channels: expected at least 1, got 0"),
+        ({"layers": -1}, "layers: expected at least 0, got -1"),
+        ({"feature_channels": -1}, "feature_channels: expected at least 0, got -1"),
+        ({"degree": 2}, "degree: expected at least 3, got 2"),
+        ({"num_control_points": 5}, "num_control_points: expected at least 6, got 5"),
+        ({"degree": 7, "num_control_points": 7}, "num_control_points: expected at least 8, got 7"),
+        ({"num_steps": 12}, "num_steps: expected at least num_control_points, 18, got 12"),
+        ({"num_steps": 64.0}, "num_steps: expected a value of type int, got 64.0"),
+        ({"num_steps": True}, "num_steps: expected a value of type int, got True"),
+        ({"map_attention": "yes"}, "map_attention: expected a value of type bool, got 'yes'"),
+        ({"map_lookup": 1}, "map_lookup: expected a value of type bool, got 1"),
+    ],
+    "goalflow": [
+        ({"backbone": "unet"}, "backbone: expected one of mlp, transformer, got 'unet'"),
+        ({"picked": 256}, "picked: expected below goals, 256, got 256"),
+        ({"sigma": 0.0}, "sigma: expected above 0"),
+        ({"width": 18}, "width: expected a multiple of 4, got 18"),
+        ({"channels": 12}, "channels: expected a multiple of 8, got 12"),
+    ],
+    "transfuser": [
+        ({"image_height": 70}, "image_height: expected a multiple of 32, got 70"),
+        ({"lidar_size": 0}, "lidar_size: expected a multiple of 32, got 0"),
+        ({"lidar_range": 0.0}, "lidar_range: expected more than 0, got 0.0"),
+        ({"depths": (1, 1)}, "depths: expected 4 numbers, one a stage"),
+        ({"widths": (16, 30, 64, 96)}, "widths: expected multiples of fusion_heads, 4"),
+        ({"fusion_layers": -1}, "fusion_layers: expected at least 0, got -1"),
+    ],
+    "wote": [
+        ({"heads": 3}, "width: expected a multiple of heads, 3, got 16"),
+        ({"kept": 13}, "kept: expected from 0 to 12, got 13"),
+        ({"kept": 4, "offsets": False}, "kept: expected 0 without offsets"),
+        ({"dt": 0.0}, "dt: expected more than 0, got 0.0"),
+        ({"future_steps": 0}, "future_steps: expected at least 1, got 0"),
+    ],
+    "wote with the road ahead": [
+        ({"dt": 0.4}, "dt: expected a multiple of 0.25 for encounters, got 0.4"),
+        ({"footprint": ()}, "ground_sight: expected false without a footprint, got True"),
+        (
+            {"backbone": replace(AHEAD.backbone, lidar_before=False)},
+            "encounters: expected none without",
+        ),
+        (
+            {"footprint": (), "encounters": (), "driven": True},
+            "driven: expected false without footprint or encounters, got True",
+        ),
+        (
+            {"backbone": replace(AHEAD.backbone, lidar_size=96)},
+            "backbone: expected a BEV of 8 n cells a side for ground_sight, got 12",
+        ),
+    ],
+    "diffusiondrive": [
+        ({"width": 60, "heads": 8}, "width: expected an even multiple of its 8 heads, got 60"),
+        ({"x_range": (1.0, 2.0)}, "x_range: expected least below 0"),
+        ({"steps": 3}, "steps: expected one of [1, 2, 4], got 3"),
+        ({"keep": 801}, "keep: expected at most 800, got 801"),
+        ({"value_kernel": 2}, "value_kernel: expected 1, 3 or 5, got 2"),
+        ({"bezier_degree": 9}, "bezier_degree: expected 1 to 8, got 9"),
+        ({"diversity": (-0.1, 0.1)}, "diversity: expected at least 0 each"),
+        ({"look_heads": 5}, "width: expected an even multiple of its 5 heads, got 64"),
+        ({"anchors": 0}, "anchors: expected at least 1, got 0"),
+        ({"ego_motion": False}, "driven: expected false without ego_motion, got True"),
+        (
+            {"footprint": (), "encounters": ()},
+            "driven: expected false without footprint or encounters, got True",
+        ),
+    ],
+    "v2x_vlm": [
+        ({"image_size": 200}, "image_size: expected a multiple of 32 from 32 to 800, got 200"),
+        ({"image_size": 192.0}, "image_size: expected a multiple of 32 from 32 to 800, got 192.0"),
+        ({"image_size": 768}, "positions: expected at least 1281, for two pictures of 768"),
+        ({"variant": "huge"}, "variant: expected one of tiny, base, large, got 'huge'"),
+        ({"vocabulary": 2}, "vocabulary: expected a whole number of 3 or more, got 2"),
+        ({"max_tokens": -3}, "max_tokens: expected a whole number of 1 or more, got -3"),
+        ({"positions": 1024.0}, "positions: expected a whole number of 1 or more, got 1024.0"),
+        ({"waypoints": 0}, "waypoints: expected a whole number of 1 or more, got 0"),
+        ({"head": -1}, "head: expected a whole number of 1 or more, got -1"),
+        ({"projection": 0}, "projection: expected a whole number of 1 or more, got 0"),
+        ({"dt": -1.0}, "dt: expected a number above 0, got -1.0"),
+        ({"dt": float("nan")}, "dt: expected a number above 0, got nan"),
+        ({"dropout": 1.5}, "dropout: expected a number from 0 to below 1, got 1.5"),
+    ],
+}
 
 
-@pytest.mark.parametrize(("fields", "message"), WRONG)
-def test_a_wrong_field_is_named(fields: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=r"expected .*, got") as caught:
-        L2Config(**fields)
-    assert str(caught.value) == message
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_a_state_is_three_fields_and_log_duration(dim: int) -> None:
-    assert L2Config(dim=dim).state_dim == 3 * dim + 1
+@pytest.mark.parametrize(
+    ("planner", "fields", "message"),
+    [(planner, *row) for planner, rows in WRONG.items() for row in rows],
+)
+def test_a_wrong_field_is_named(planner: str, fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match="expected ") as caught:
+        replace(BASES[planner], **fields)
+    assert str(caught.value).startswith(message)
 
 
 @pytest.mark.parametrize("create", [create_flowmp_transformer, create_flowmp_unet1d])
@@ -82,12 +164,7 @@ def name_of(options: dict[str, Any]) -> str:
 
 
 @pytest.mark.parametrize("options", OPTION_SETS, ids=name_of)
-def test_every_option_set(
-    make_model: Callable[..., L2SafetyCFM],
-    make_scene: Callable[..., dict[str, Tensor]],
-    means_of: Callable[..., Tensor],
-    options: dict[str, Any],
-) -> None:
+def test_every_option_set(options: dict[str, Any]) -> None:
     model = make_model(map_size=16, **options)
     config = model.config
     scene = make_scene(config.dim, channels=config.map_channels)
@@ -125,12 +202,7 @@ def test_every_option_set(
 
 
 @pytest.mark.parametrize("options", OPTION_SETS, ids=name_of)
-def test_training_reaches_every_weight(
-    make_model: Callable[..., L2SafetyCFM],
-    make_scene: Callable[..., dict[str, Tensor]],
-    means_of: Callable[..., Tensor],
-    options: dict[str, Any],
-) -> None:
+def test_training_reaches_every_weight(options: dict[str, Any]) -> None:
     """No option leaves a weight without a part in the field; several GPUs would wait for it."""
     model = make_model(map_size=16, **options).train()
     scene = make_scene(model.config.dim, channels=model.config.map_channels)
@@ -181,15 +253,3 @@ def test_a_saved_configuration_is_today_s_default() -> None:
     config = L2Config(**SAVED)
     assert config == L2Config()
     assert SAVED.items() <= asdict(config).items()
-
-
-def test_the_default_context_is_pinned() -> None:
-    model = create_l2_safety_cfm()
-    assert model.context_for_modulate == ("condition",)
-    assert model.context_for_field == (
-        "frame",
-        "motion_limits",
-        "units",
-        "si_units",
-        "features",
-    )

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
+from flowmp_scenes import make_model, make_scene
 from tiny_diffusiondrive import tiny_diffusiondrive
 from tiny_wote import sensors, tiny_wote
 from torch import Tensor
 
-from anchorflow_models import L2SafetyCFM
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goalflow import STATE
 from anchorflow_models.layers.geometry import standing_still
@@ -17,7 +17,7 @@ from anchorflow_models.layers.geometry import standing_still
 Tell = Callable[[], list[Tensor]]
 
 
-def drawn(make_model: Callable[..., L2SafetyCFM], make_scene: Callable[..., dict]) -> Tell:
+def drawn() -> Tell:
     model, scene = make_model(), make_scene()
     noise = torch.randn(2, 3, model.prior.rank)
 
@@ -32,10 +32,8 @@ def drawn(make_model: Callable[..., L2SafetyCFM], make_scene: Callable[..., dict
     return tell
 
 
-def test_flowmp(
-    make_model: Callable[..., L2SafetyCFM], make_scene: Callable[..., dict[str, Tensor]]
-) -> None:
-    _check(drawn(make_model, make_scene))
+def test_flowmp() -> None:
+    _check(drawn())
 
 
 def test_goalflow() -> None:

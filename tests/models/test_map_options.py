@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 import torch
+from flowmp_scenes import field_of, make_model, make_scene, means_of
 from torch import Tensor
 
 from anchorflow_models import CostMapEncoder, L2SafetyCFM
@@ -14,10 +13,6 @@ from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.attention import MapAttention
 
 Scene = dict[str, Tensor]
-MakeModel = Callable[..., L2SafetyCFM]
-MakeScene = Callable[..., Scene]
-FieldOf = Callable[..., Tensor]
-MeansOf = Callable[[L2SafetyCFM, Scene, int], Tensor]
 
 COUNT = 3
 
@@ -42,7 +37,7 @@ def field_with_map_of(model: L2SafetyCFM, scene: Scene, other: Scene, mean: Tens
     ],
 )
 def test_the_field_itself_sees_the_map_only_by_lookup_or_attention(
-    make_model: MakeModel, make_scene: MakeScene, means_of: MeansOf, options: dict, sees: bool
+    options: dict, sees: bool
 ) -> None:
     model, scene = make_model(map_size=16, **options), make_scene()
     mean = means_of(model, scene, COUNT)
@@ -53,7 +48,7 @@ def test_the_field_itself_sees_the_map_only_by_lookup_or_attention(
     assert not torch.equal(*(model.encode(**one)["condition"] for one in (scene, other)))
 
 
-def test_the_graphs_carry_what_the_options_ask_for(make_model: MakeModel) -> None:
+def test_the_graphs_carry_what_the_options_ask_for() -> None:
     names = {
         (True, False, 1): ("features",),
         (True, False, 2): ("features", "wide_features"),
@@ -64,6 +59,7 @@ def test_the_graphs_carry_what_the_options_ask_for(make_model: MakeModel) -> Non
     for (lookup, attention, scales), expected in names.items():
         options = {"map_lookup": lookup, "map_attention": attention, "map_scales": scales}
         model = make_model(map_size=16, **options)
+        assert model.context_for_modulate == ("condition",)
         assert model.context_for_field == (
             "frame",
             "motion_limits",
@@ -73,7 +69,7 @@ def test_the_graphs_carry_what_the_options_ask_for(make_model: MakeModel) -> Non
         )
 
 
-def test_keys_and_values_are_one_set_a_layer(make_model: MakeModel, make_scene: MakeScene) -> None:
+def test_keys_and_values_are_one_set_a_layer() -> None:
     for options, shape in (
         ({}, (2, 4, 2, 4, 16, 32)),
         ({"map_scales": 2}, (2, 4, 2, 4, 32, 32)),
@@ -84,7 +80,7 @@ def test_keys_and_values_are_one_set_a_layer(make_model: MakeModel, make_scene: 
 
 
 @torch.no_grad()
-def test_map_tokens_know_their_places(make_model: MakeModel) -> None:
+def test_map_tokens_know_their_places() -> None:
     """The same cells in other places are another map; tokens in another order are not."""
     model = make_model(map_size=32, map_attention=True)
     coarse = torch.randn(1, 96, 4, 4)
@@ -98,9 +94,7 @@ def test_map_tokens_know_their_places(make_model: MakeModel) -> None:
     assert not torch.allclose(answers[0], answers[2], atol=1e-3)
 
 
-def test_attention_can_tell_where_a_trajectory_lies(
-    make_model: MakeModel, make_scene: MakeScene, means_of: MeansOf
-) -> None:
+def test_attention_can_tell_where_a_trajectory_lies() -> None:
     """Two trajectories of the same residuals in other places get other answers."""
     model = make_model(map_size=16, map_attention=True, map_lookup=False)
     with torch.no_grad():
@@ -118,9 +112,7 @@ def test_attention_can_tell_where_a_trajectory_lies(
 
 
 @pytest.mark.parametrize("options", [{}, {"map_lookup": False}, {"map_attention": True}])
-def test_the_second_window_sees_twice_as_far(
-    make_model: MakeModel, make_scene: MakeScene, field_of: FieldOf, options: dict
-) -> None:
+def test_the_second_window_sees_twice_as_far(options: dict) -> None:
     scene = make_scene()
     # A short way in the middle of the map: the window ends 2.3 m from its centre, the map 4 m.
     scene["x_curr"][:, :2] = torch.tensor([-0.5, 0.0])
@@ -136,9 +128,7 @@ def test_the_second_window_sees_twice_as_far(
         assert torch.equal(base, other) != sees
 
 
-def test_each_window_is_looked_up_where_the_trajectory_is(
-    make_model: MakeModel, make_scene: MakeScene
-) -> None:
+def test_each_window_is_looked_up_where_the_trajectory_is() -> None:
     """Tables that hold the metric place of each cell return the places."""
     model, scene = make_model(map_scales=2, feature_channels=0), make_scene()
     frame = Frame.between(scene["x_curr"][:, :2], scene["x_goal"][:, :2])
@@ -152,9 +142,7 @@ def test_each_window_is_looked_up_where_the_trajectory_is(
 
 
 @pytest.mark.parametrize("channels", [1, 5])
-def test_any_number_of_channels(
-    make_model: MakeModel, make_scene: MakeScene, field_of: FieldOf, channels: int
-) -> None:
+def test_any_number_of_channels(channels: int) -> None:
     model, scene = make_model(map_size=16, map_channels=channels), make_scene(channels=channels)
     noise = torch.randn(1, COUNT, model.prior.rank)
     base = field_of(model, scene, noise)

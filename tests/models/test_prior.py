@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import torch
+from flowmp_scenes import make_model, make_scene, means_of
 from torch import Tensor
 
-from anchorflow_models import L2Config, L2SafetyCFM
+from anchorflow_models import L2Config
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.flowmp.prior import LEAST_SPREAD, TrajectoryPrior
 from anchorflow_trajectory.routes.splines import usual_spread
@@ -43,12 +42,7 @@ def frame(dim: int) -> Frame:
     return Frame.between(start, goal)
 
 
-def test_noise_is_drawn_around_each_samples_own_route(
-    make_model: Callable[..., L2SafetyCFM],
-    make_scene: Callable[..., Scene],
-    means_of: Callable[..., Tensor],
-    dim: int,
-) -> None:
+def test_noise_is_drawn_around_each_samples_own_route(dim: int) -> None:
     """And what is drawn meets what its route meets at both ends: it is a trajectory between."""
     model, scene = make_model(dim=dim), make_scene(dim)
     context = model.encode(**scene)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
+from flowmp_scenes import make_scene
 from torch import Tensor, nn
 from torch.nn.attention import SDPBackend, sdpa_kernel
 from torch.utils.flop_counter import FlopCounterMode
@@ -44,8 +44,6 @@ OPTIONS = [
     ({"dim": 3}, 2_582_992, 14),
 ]
 
-MakeScene = Callable[..., dict[str, Tensor]]
-
 
 def size(module: nn.Module) -> int:
     return sum(parameter.numel() for parameter in module.parameters())
@@ -67,7 +65,7 @@ def megaflops(model: L2SafetyCFM, scene: dict[str, Tensor]) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize(("backbone", "variant"), SIZES)
-def test_variants(make_scene: MakeScene, backbone: str, variant: str) -> None:
+def test_variants(backbone: str, variant: str) -> None:
     alone, planner, cost = SIZES[backbone, variant]
     model = create_l2_safety_cfm(L2Config(backbone=backbone, variant=variant))
     assert size(model.vector_field) == alone
@@ -78,7 +76,7 @@ def test_variants(make_scene: MakeScene, backbone: str, variant: str) -> None:
 
 
 @pytest.mark.parametrize(("options", "planner", "cost"), OPTIONS)
-def test_options(make_scene: MakeScene, options: dict[str, Any], planner: int, cost: int) -> None:
+def test_options(options: dict[str, Any], planner: int, cost: int) -> None:
     model = create_l2_safety_cfm(L2Config(**options))
     assert size(model) == planner
     assert megaflops(model, make_scene(model.config.dim))[1] == cost

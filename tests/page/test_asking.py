@@ -145,8 +145,6 @@ def test_the_form_sets_the_fields_of_the_request(visit: Any) -> None:
     visit.locate("#refine-safety_margin").fill("0.2")
     visit.locate("#refine-guidance").fill("0.5")
     visit.locate("#refine-certified_margin").fill("0.1")
-    visit.locate("#refine-smooth").uncheck()
-
     answered = visit.answer(
         lambda: visit.locate("#refine-barrier").check(), lambda asked: asked["refine"]["barrier"]
     )
@@ -155,7 +153,7 @@ def test_the_form_sets_the_fields_of_the_request(visit: Any) -> None:
     assert answered.asked["num_samples"] == 16
     assert answered.asked["sampler"] == {"method": "heun", "schedule": {"uniform": 3}}
     assert answered.asked["refine"] == {
-        "smooth": False,
+        "smooth": True,
         "project": True,
         "safety_margin": 0.2,
         "guidance": 0.5,

@@ -51,7 +51,7 @@ FREE_CARD = replace(
     ),
     time=TimeSpec(steps=16, first_s=0.0, dt=None),
 )
-"""Return the card of a planner whose anchors have their own durations."""
+"""The card of a planner whose anchors have their own durations."""
 
 
 def minimum_jerk(steps: int) -> np.ndarray:

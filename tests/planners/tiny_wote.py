@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -32,6 +34,15 @@ TINY = WoteConfig(
         bev_channels=4,
     ),
 )
+AHEAD = replace(
+    TINY,
+    ground_sight=True,
+    encounters=((0.0, 0.0), (5.0, 0.0)),
+    backbone=replace(
+        TINY.backbone, image_height=32, image_width=128, lidar_size=128, lidar_before=True
+    ),
+)
+"""The same, which looks at the road ahead and at whom an anchor meets."""
 
 
 def tiny_wote(config: WoteConfig = TINY) -> WoTE:

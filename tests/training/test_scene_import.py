@@ -56,7 +56,7 @@ def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
     assert {name: array.dtype for name, array in scenes.arrays.items()} == DTYPES
     np.testing.assert_allclose(rows["x_curr"][0], [1, 3, 2, 0, 0, 0], atol=1e-5)
     np.testing.assert_allclose(rows["x_goal"][1], [5, 2, 2, 0], atol=1e-5)
-    np.testing.assert_allclose(rows["w_style"], [[0.5, 0.25, 0.25], [0, 0, 1]])
+    np.testing.assert_allclose(rows["w_style"], [[0.8, 0.1, 0.1], [0, 0, 1]], rtol=1e-6)
     np.testing.assert_allclose(rows["map_geometry"], [[0, 0, 0.1]] * 2, rtol=1e-6)
     occupied, traversability, risk = rows["cost_map"][0]
     np.testing.assert_array_equal(traversability, 1)

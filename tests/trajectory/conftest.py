@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.cost.clearance import GridField, clearance_field
 from anchorflow_trajectory.cost.fields import CostFields
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines, spline_basis
@@ -27,14 +27,14 @@ class Stage:
     at_rest: Ends
 
     def fields(self, *, risky: bool = False) -> CostFields:
-        """The post and, optionally, risky ground below it, more of it to the right."""
+        """The post and, optionally, dear ground below it, more of it to the right."""
         occupied = np.zeros((64, 64), bool)
         occupied[30:34, 31:35] = True
-        cost_map = np.zeros((3, 64, 64), np.float32)
-        cost_map[0], cost_map[1] = occupied, 1.0
-        if risky:
-            cost_map[2] = np.linspace(1.0, 0.0, 64)[:, None] * np.linspace(0.6, 1.0, 64)
-        return CostFields.of(cost_map, clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
+        clearance = GridField(clearance_field(occupied, 0.1, 0.25), 0.1, np.zeros(2))
+        if not risky:
+            return CostFields(clearance)
+        surcharge = 3.0 * np.linspace(1.0, 0.0, 64)[:, None] * np.linspace(0.6, 1.0, 64)
+        return CostFields(clearance, GridField(surcharge.astype(np.float32), 0.1, np.zeros(2)))
 
     def disturbed(
         self, count: int, ends: Ends, *, spread: float = 0.4, duration: float = 4.0

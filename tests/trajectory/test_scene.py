@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from anchorflow_trajectory.cost import clearance
+from anchorflow_trajectory.cost.fields import soft_cost
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
-from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, share_within, with_neutral_channels
+from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, share_within
 
 
 @pytest.fixture
@@ -19,7 +20,7 @@ def scene() -> Scene:
     occupancy = np.zeros((1, 30, 40), np.float32)
     occupancy[0, :24, 18:21], occupancy[0, 0, 0] = 0.5, 0.49
     return Scene(
-        cost_map=with_neutral_channels(occupancy, 4),
+        cost_map=occupancy,
         resolution=0.1,
         origin=np.array([1.0, 2.0]),
         robot_radius=0.2,
@@ -36,7 +37,7 @@ def test_fields_follow_from_the_map(scene: Scene) -> None:
     np.testing.assert_array_equal(scene.clearance_field, field)
     assert scene.map_geometry.tolist() == pytest.approx([1.0, 2.0, 0.1])
     np.testing.assert_array_equal(scene.cost_fields.clearance.values, field)
-    assert scene.cost_fields.soft is None
+    assert scene.cost_fields.surcharge is not None
 
 
 def test_a_field_is_worked_out_once_and_anew_for_another_scene(
@@ -147,7 +148,7 @@ def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:
     assert tuple(inputs) == SCENE_INPUTS
     assert {array.dtype for array in inputs.values()} == {np.dtype(np.float32)}
     assert {name: array.shape for name, array in inputs.items()} == {
-        "cost_map": (1, 4, 30, 40),
+        "cost_map": (1, 3, 30, 40),
         "map_geometry": (1, 3),
         "clearance_field": (1, 30, 40),
         "x_curr": (1, 6),
@@ -159,32 +160,33 @@ def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:
     assert list(scene.inputs(["x_goal"])) == ["x_goal"]
 
 
-def test_what_is_left_out_is_neutral() -> None:
-    given = np.random.default_rng(0).random((2, 5, 6))
-    filled = with_neutral_channels(given, 4)
-    assert filled.dtype == np.float32
-    np.testing.assert_array_equal(filled[:2], given.astype(np.float32))
-    assert not filled[2:].any()
-    assert (with_neutral_channels(given[:1], 3)[1] == 1.0).all()
-    assert with_neutral_channels(given, 1).shape == (2, 5, 6)
+def test_the_soft_cost_is_the_largest_of_the_layers_and_obstacles_have_none() -> None:
+    layers = np.zeros((4, 1, 6), np.float32)
+    layers[0, 0] = [0.0, 0.45, 0.5, 0.0, 0.0, 1e-40]
+    layers[1, 0] = [1.0, 1.0, 1.0, 0.8, 1.0, 1.0]
+    layers[2, 0] = [0.0, 0.0, 0.0, 0.1, 0.3, 0.0]
+    layers[3, 0] = [0.0, 0.0, 0.0, 0.0, 0.4, 0.0]
+
+    even = soft_cost(layers)
+    weighted = soft_cost(layers, np.array([1.0, 2.0, 0.5]))
+
+    np.testing.assert_allclose(even, [[0.0, 0.9, 0.0, 0.2, 0.4, 0.0]], atol=1e-6)
+    np.testing.assert_allclose(weighted, [[0.0, 0.9, 0.0, 0.2, 0.6, 0.0]], atol=1e-6)
+    assert even[0, 5] == 0.0
+    assert soft_cost(10.0 * layers[2:3]).max() <= 1.0
 
 
-@pytest.mark.parametrize(
-    ("point", "free"),
-    [
-        ((1.5, 3.0), True),
-        ((1.0, 3.0), True),
-        ((5.0, 5.0), True),  # the map's upper corner belongs to its last cell
-        ((5.01, 3.0), False),
-        ((0.99, 3.0), False),
-        ((2.9, 3.0), False),  # in the wall
-        ((2.9, 4.7), True),  # in its gap
-    ],
-)
-def test_free_ground_is_the_map_with_its_border_and_without_obstacles(
-    scene: Scene, point: tuple[float, float], free: bool
-) -> None:
-    assert scene.is_free(np.array(point)) is free
+def test_a_penalty_of_zero_is_even_ground_and_networks_see_the_surcharge(scene: Scene) -> None:
+    risky = np.stack([scene.occupied, *np.full((2, 30, 40), [[[1.0]], [[0.5]]])]).astype(np.float32)
+    dear, even = (replace(scene, cost_map=risky, cost_penalty=p) for p in (6.0, 0.0))
+
+    assert even.surcharge is None
+    assert dear.surcharge is not None
+    assert dear.surcharge.max() == 3.0
+    assert dear.network_map[:, -1, -1].tolist() == [0.0, 1.0, 0.5]
+    assert even.network_map[:, -1, -1].tolist() == [0.0, 1.0, 0.0]
+    assert [route.cost for route in even.routes] == [route.length for route in even.routes]
+    assert dear.routes[0].cost == pytest.approx(4.0 * dear.routes[0].length)
 
 
 def test_an_acceleration_that_would_pass_the_speed_is_eased(scene: Scene) -> None:

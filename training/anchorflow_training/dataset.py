@@ -2,12 +2,12 @@
 
 S scenes, M trajectories a scene, T samples, D dimensions, map [C, H, W]:
 
-    cost_map      uint8   [S, C, H, W]  255 is 1.0
+    cost_map      uint8   [S, C, H, W]  `Scene.network_map`; 255 is 1.0
     clearance     float16 [S, H, W]     m beyond robot_radius
     map_geometry  float32 [S, 3]        origin x, origin y in m, resolution in m/cell
     x_curr        float32 [S, 3D]       p, v, a
     x_goal        float32 [S, 2D]       p, v
-    w_style       float32 [S, 3]        sums to 1
+    w_style       float32 [S, 3]        `Scene.effective_style`
     limits        float32 [S, 4]        v_max, a_max, robot_radius, horizon_s or 0 where it is open
     route_states  float32 [S, R, T, 3D + 1]  along each route, as `Scene.route_states`; the
                                         routes that a scene has less of are zero
@@ -183,12 +183,12 @@ def scene_row(
     """
     routes = scene.route_states
     row = {
-        "cost_map": np.rint(scene.cost_map * 255),
+        "cost_map": np.rint(scene.network_map * 255),
         "clearance": scene.clearance_field,
         "map_geometry": scene.map_geometry,
         "x_curr": scene.x_curr,
         "x_goal": scene.x_goal,
-        "w_style": scene.w_style,
+        "w_style": scene.effective_style,
         "limits": scene.limits,
         "route_states": np.pad(routes, [(0, MOST_ROUTES - len(routes)), (0, 0), (0, 0)]),
         "states": states,

@@ -63,7 +63,12 @@ def solve(scene: Scene, *, config: ExpertConfig, rng: np.random.Generator) -> So
     )
     fields, splines = scene.cost_fields, tried.splines
     cost = stiffer = TrajectoryCost(
-        scene.basis, fields, scene.motion, scene.w_style, scene.reference_s, config.margin
+        scene.basis,
+        fields,
+        scene.motion,
+        scene.effective_style,
+        scene.reference_s,
+        config.margin,
     )
     failed, verdict = np.arange(config.tries), None
     for _ in range(config.rounds):

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_training.scene_layouts import LAYOUTS, BoolArray, Canvas
-from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.cost.clearance import clearance_field, distance_to_cells
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 
@@ -74,6 +74,7 @@ class RobotRanges:
 
 
 SIZE_SHARES = (0.2, 0.6, 0.2)
+PENALTIES = (0.5, 12.0)  # m of detour that a metre through soft cost 1 is worth
 LONGER = (1.15, 4.0)  # a horizon over the least time for the shortest route
 
 
@@ -113,10 +114,10 @@ def draw_scene(
         x_curr[4:6] = rng.normal(0.0, limits.a_max / 6, 2) * (rng.random() < 0.5)
     if rng.random() < 0.3:
         x_goal[2:4] = _velocity(rng, clearance[goal], limits, span)
-    cost_map = np.stack([occupied.astype(np.float32), *_ground(rng, cells)])
+    soft, penalty = _soft_cost(rng, occupied, resolution)
     scene = FamilyScene(
         family=family,
-        cost_map=cost_map,
+        cost_map=np.stack([occupied, np.ones_like(soft), soft]).astype(np.float32),
         resolution=resolution,
         origin=origin,
         robot_radius=radius,
@@ -124,6 +125,7 @@ def draw_scene(
         x_goal=x_goal,
         w_style=_style(rng),
         motion=limits,
+        cost_penalty=penalty,
     )
     if rng.random() >= robots.fixed:
         return scene
@@ -196,19 +198,58 @@ def _velocity(
     return speed * np.array([np.cos(angle), np.sin(angle)], np.float32)
 
 
-def _ground(rng: np.random.Generator, cells: int) -> tuple[FloatArray, FloatArray]:
-    """Traversability and risk: neutral in most scenes, smooth patches in some; [H, W] each."""
-    layers = []
-    for neutral in (1.0, 0.0):
-        layer = np.full((cells, cells), neutral, np.float32)
-        if rng.random() < 0.15:
-            noise = gaussian_filter(
-                rng.normal(size=(cells, cells)), rng.uniform(0.04, 0.12) * cells
-            )
-            patches = np.clip(noise / np.abs(noise).max() * 2.5 - 0.6, 0.0, 1.0)
-            layer = np.abs(neutral - patches).astype(np.float32)
-        layers.append(layer)
-    return layers[0], layers[1]
+def _soft_cost(
+    rng: np.random.Generator, occupied: BoolArray, resolution: float
+) -> tuple[FloatArray, float]:
+    """c [H, W] in [0, 1] of free ground, none in half of the scenes, and its penalty."""
+    if rng.random() < 0.5:
+        return np.zeros(occupied.shape, np.float32), 0.0
+    cells = len(occupied)
+    kinds = (
+        lambda: _patches(rng, cells),
+        lambda: _inflation(rng, occupied, resolution),
+        lambda: _slope(rng, cells),
+        lambda: _stripes(rng, cells),
+    )
+    soft = kinds[rng.integers(len(kinds))]()
+    if rng.random() < 0.3:
+        soft = np.maximum(soft, kinds[rng.integers(len(kinds))]())
+    return np.clip(soft, 0.0, 1.0).astype(np.float32), float(rng.uniform(*PENALTIES))
+
+
+def _patches(rng: np.random.Generator, cells: int) -> FloatArray:
+    """Smooth patches, some with sharp edges."""
+    size = rng.uniform(0.04, 0.12) * cells
+    noise = gaussian_filter(rng.normal(size=(cells, cells)), size, mode="wrap")
+    raised = (noise / noise.std() - rng.uniform(0.0, 0.8)) / rng.choice([0.02, 0.5])
+    return np.clip(raised, 0.0, 1.0) * rng.uniform(0.3, 1.0)
+
+
+def _inflation(rng: np.random.Generator, occupied: BoolArray, resolution: float) -> FloatArray:
+    """What a cost map's inflation layer makes of the obstacles."""
+    distance = distance_to_cells(occupied, resolution)
+    reach, fall = rng.uniform(0.4, 1.5), rng.uniform(1.0, 5.0)
+    return np.where(distance < reach, np.exp(-fall * np.maximum(distance - 0.2, 0.0)), 0.0)
+
+
+def _slope(rng: np.random.Generator, cells: int) -> FloatArray:
+    """Dearer and dearer towards one side."""
+    along = _along(rng, cells)
+    return (along - along.min()) / np.ptp(along) * rng.uniform(0.3, 1.0)
+
+
+def _stripes(rng: np.random.Generator, cells: int) -> FloatArray:
+    """Dear bands beside cheap lanes."""
+    period = rng.uniform(0.15, 0.6) * cells
+    wave = (_along(rng, cells) / period + rng.random()) % 1.0
+    return (wave < rng.uniform(0.2, 0.7)) * rng.uniform(0.3, 1.0)
+
+
+def _along(rng: np.random.Generator, cells: int) -> FloatArray:
+    """How far [H, W] cells lie along a random direction."""
+    angle = rng.uniform(0.0, 2 * np.pi)
+    rows, columns = np.indices((cells, cells))
+    return np.cos(angle) * columns + np.sin(angle) * rows
 
 
 def _style(rng: np.random.Generator) -> FloatArray:

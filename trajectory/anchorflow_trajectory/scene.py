@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost import clearance
-from anchorflow_trajectory.cost.fields import TRAVERSABILITY, CostFields
+from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.cost.fields import CostFields, soft_cost
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.dijkstra import cell_index
@@ -33,7 +35,15 @@ SCENE_INPUTS = (
     ROUTE_STATES,
 )
 """The possible inputs of a network, as names for `Scene.inputs`."""
+NETWORK_CHANNELS, TRAVERSABILITY, RISK = 3, 1, 2
+"""Channels of a network's map: obstacles, traversability (all of it is 1), risk (dear ground)."""
 NUM_STEPS = 64
+# A style with a weight beyond BALANCED leans further than it says, and most from LEANING on: its
+# weights are raised to this power beside the cost's own contrast.
+BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
+FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
+MOST_CELLS = 512  # a side of a map whose cells were cut
+COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 TOP_SPEED = 0.97  # share of v_max
@@ -43,15 +53,15 @@ TOP_SPEED = 0.97  # share of v_max
 class Scene:
     """One planning problem in SI and its map's frame; derived fields are cached.
 
-    cost_map: float32 [C, H, W] in [0, 1]: occupancy, traversability, risk, further semantics
+    cost_map: float32 [C, H, W] in [0, 1]: occupancy, traversability, risk, further soft costs
     resolution: m/cell; origin: float64 [2] m, outer corner of cell (0, 0); robot_radius: m
     x_curr: [3D] p, v, a in m, m/s, m/s^2; x_goal: [2D] p, v; D = 3 adds a heading in rad
-    w_style: [3] weights of safety, energy and smoothness, which sum to 1
+    w_style: [3] weights of safety, energy and smoothness, which sum to 1, as they were asked for
     motion: what anchors keep
     basis: of the splines along the routes
     certified_margin: m beyond robot_radius that routes keep, where any can
-    cost_penalty: m of detour that 1 m through soft cost 1 is worth
-    channel_weights: [C-1] factors of the soft costs of channels 1 to C - 1; None: 1 each
+    cost_penalty: m of detour that one metre through soft cost 1 is worth
+    channel_weights: [C - 1] of traversability, risk and further channels; none: 1 each
     """
 
     cost_map: NDArray[np.float32]
@@ -64,8 +74,8 @@ class Scene:
     motion: MotionLimits
     basis: SplineBasis = field(default_factory=lambda: spline_basis(NUM_STEPS))
     certified_margin: float = 0.0
-    cost_penalty: float = 3.0
-    channel_weights: NDArray[np.float32] | None = None
+    cost_penalty: float = COST_PENALTY
+    channel_weights: FloatArray | None = None
 
     @cached_property
     def occupied(self) -> NDArray[np.bool_]:
@@ -76,6 +86,31 @@ class Scene:
     def clearance_field(self) -> NDArray[np.float32]:
         """[H, W] m beyond robot_radius at cell centres, negative inside obstacles."""
         return clearance.clearance_field(self.occupied, self.resolution, self.robot_radius)
+
+    @cached_property
+    def surcharge(self) -> NDArray[np.float32] | None:
+        """[H, W] m of detour that a metre of way through a cell is worth; None if it is 0."""
+        soft = soft_cost(self.cost_map, self.channel_weights)
+        soft *= np.float32(self.cost_penalty)
+        return soft if soft.any() else None
+
+    @property
+    def network_map(self) -> NDArray[np.float32]:
+        """[3, H, W] as networks see the map: obstacles, 1, and the surcharge scaled to [0, 1)."""
+        seen = np.zeros((NETWORK_CHANNELS, *self.occupied.shape), np.float32)
+        seen[0], seen[TRAVERSABILITY] = self.occupied, 1.0
+        if self.surcharge is not None:
+            seen[RISK] = self.surcharge / (self.surcharge + COST_PENALTY)
+        return seen
+
+    @cached_property
+    def effective_style(self) -> FloatArray:
+        """Return the weights [3] with which the cost and networks work."""
+        lean = np.clip((float(self.w_style.max()) - BALANCED) / (LEANING - BALANCED), 0.0, 1.0)
+        if lean == 0.0:
+            return self.w_style
+        raised = self.w_style ** (1.0 + (EMPHASIS - 1.0) * lean)
+        return raised / raised.sum()
 
     @cached_property
     def ends(self) -> Ends:
@@ -100,7 +135,7 @@ class Scene:
 
     @cached_property
     def routes(self) -> list[Route]:
-        """The shortest ways round the obstacles, the shortest first; empty where none is free."""
+        """The cheapest ways round the obstacles, the cheapest first; empty where none is free."""
         margin = self.certified_margin
         found = self._found_routes(SLACK + margin)
         if not found and margin > 0.0:  # none can be certified: `safe` says so
@@ -119,6 +154,7 @@ class Scene:
             origin=self.origin,
             slack=slack,
             rays=self.rays,
+            surcharge=self.surcharge,
         )
 
     def _found_routes(self, slack: float) -> list[Route]:
@@ -130,24 +166,25 @@ class Scene:
             goal=self.x_goal[:2],
             slack=slack,
             rays=self.rays,
+            surcharge=self.surcharge,
         )
 
     @cached_property
     def rays(self) -> ObstacleRays:
         """Return the rays that define on which sides a path passes the obstacles."""
-        return ObstacleRays.of(self.clearance_field)
+        return ObstacleRays.of(self.clearance_field, self.surcharge)
 
     @cached_property
     def reference_s(self) -> float:
         """s that durations are measured by: the least in which the shortest route can be driven."""
         straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
-        way = self.routes[0].length if self.routes else straight
+        way = min((route.length for route in self.routes), default=straight)
         return self.motion.least_time(max(way, LEAST_WAY))
 
     @cached_property
     def route_splines(self) -> Splines:
         """One along each route; the smoothest curve between both ends where there is none."""
-        leaning = CostWeights().leaning(self.w_style)
+        leaning = CostWeights().leaning(self.effective_style)
         return splines_along(
             self.routes or [self._straight],
             self.basis,
@@ -180,7 +217,9 @@ class Scene:
     @cached_property
     def cost_fields(self) -> CostFields:
         """The maps as the cost of a trajectory looks them up."""
-        return CostFields.of(self.cost_map, self.clearance_field, self.resolution, self.origin)
+        at = self.resolution, self.origin
+        dear = None if self.surcharge is None else GridField(self.surcharge, *at)
+        return CostFields(GridField(self.clearance_field, *at), dear)
 
     @property
     def map_geometry(self) -> NDArray[np.float32]:
@@ -189,7 +228,11 @@ class Scene:
 
     def inputs(self, names: Iterable[str]) -> dict[str, NDArray[np.float32]]:
         """The arrays of these names, out of SCENE_INPUTS, in float32 and with a B axis of 1."""
-        return {name: np.asarray(getattr(self, name), np.float32)[None] for name in names}
+        seen = {"cost_map": "network_map", "w_style": "effective_style"}
+        return {
+            name: np.asarray(getattr(self, seen.get(name, name)), np.float32)[None]
+            for name in names
+        }
 
     def is_free(self, point: FloatArray) -> bool:
         """Whether a point [2] m is on the map, border included, and in a free cell."""
@@ -200,15 +243,16 @@ class Scene:
         return not self.occupied.flat[cell]
 
 
-def with_neutral_channels(cost_map: FloatArray, channels: int) -> NDArray[np.float32]:
-    """Return a map [C, H, W] filled up to `channels` with neutral values.
+def finer_cells(cost_map: FloatArray, resolution: float) -> tuple[FloatArray, float]:
+    """Cut cells of a map [..., H, W] that are larger than FINE; returns it and its resolution [m].
 
-    The default is easy ground without risk: traversability 1, other channels 0.
+    A certified clearance keeps a share of a cell in reserve, which closes ways that are one or two
+    coarse cells wide.
     """
-    filled = np.zeros((max(channels, len(cost_map)), *cost_map.shape[1:]), np.float32)
-    filled[TRAVERSABILITY : TRAVERSABILITY + 1] = 1.0
-    filled[: len(cost_map)] = cost_map
-    return filled
+    parts = min(math.ceil(resolution / FINE - ROUNDING), MOST_CELLS // max(cost_map.shape[-2:]))
+    if parts <= 1:
+        return cost_map, resolution
+    return cost_map.repeat(parts, -2).repeat(parts, -1), resolution / parts
 
 
 def share_within(velocity: FloatArray, gained: FloatArray, most: float) -> float:

@@ -49,10 +49,10 @@ OCCUPIED = 0.5
 """Occupancy from which on a cell is an obstacle."""
 STYLES: Mapping[str, tuple[float, float, float]] = MappingProxyType(
     {
-        "conservative": (0.8, 0.1, 0.1),  # far from obstacles, and slow
+        "conservative": (0.7, 0.1, 0.2),  # far from obstacles, and slow
         "balanced": (0.4, 0.3, 0.3),
-        "efficient": (0.1, 0.8, 0.1),  # short and quick
-        "comfortable": (0.1, 0.1, 0.8),  # little jerk
+        "efficient": (0.2, 0.5, 0.3),  # short and quick
+        "comfortable": (0.3, 0.2, 0.5),  # little jerk
     }
 )
 """Weights of safety, energy and smoothness by the name of the style."""

@@ -150,7 +150,13 @@ def _sampler(request: AnchorRequest, card: ModelCard) -> SamplerSpec:
 
 def _finish(request: AnchorRequest, card: ModelCard) -> FinishSpec:
     if isinstance(card.finish, RefineSpec):
-        return (request.refine or RefineChoice()).over(card.finish)
+        asked = request.refine or RefineChoice()
+        finish = asked.over(card.finish)
+        if asked.smooth is False and (finish.project or finish.barrier):
+            moves = "project" if finish.project else "barrier"
+            message = f"expected true, or refine.{moves} false: it moves the fitted spline"
+            raise InvalidRequest(f"{message}, got false", "refine.smooth")
+        return finish
     if request.refine is not None:
         raise _not_chosen(card, "refine", card.finish.kind)
     return card.finish

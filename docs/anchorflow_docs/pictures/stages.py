@@ -22,7 +22,6 @@ from anchorflow_docs.pictures.theme import (
     draw_field,
     draw_map,
 )
-from anchorflow_trajectory.cost.fields import soft_cost
 from anchorflow_trajectory.drawing import draw_paths
 from anchorflow_trajectory.scene import Scene
 
@@ -72,7 +71,7 @@ def _arrow(axis: Axes, theme: Theme) -> None:
 
 def fields(stage: Stage) -> Drawing:
     """Draw occupancy, soft costs, clearance, the routes, their splines, and the answer."""
-    scene = stage.scene_with_ways("rooms", 2, lambda scene: bool(soft_cost(scene.cost_map).any()))
+    scene = stage.scene_with_ways("rooms", 2, lambda scene: scene.surcharge is not None)
     answer = stage.plan(scene)
 
     def draw(theme: Theme) -> Figure:
@@ -80,7 +79,7 @@ def fields(stage: Stage) -> Drawing:
         draw_map(axes[0, 0], scene, theme)
         draw_ends(axes[0, 0], scene, theme)
         soft = draw_field(
-            axes[0, 1], scene, soft_cost(scene.cost_map), cmap=theme.costs, vmin=0, vmax=1
+            axes[0, 1], scene, scene.surcharge, cmap=theme.costs, vmin=0, vmax=scene.cost_penalty
         )
         _draw_clearance(axes[0, 2], scene, theme)
         draw_routes(axes[1, 0], scene, theme)

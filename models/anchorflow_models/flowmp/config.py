@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 
+from anchorflow_models.checks import check
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 
@@ -81,14 +82,14 @@ class L2Config:
         for name, choices in CHOICES.items():
             check_choice(name, getattr(self, name), choices)
         for name, least in LEAST.items():
-            _check(name, getattr(self, name), getattr(self, name) >= least, f"at least {least}")
-        multiple = self.map_size % MAP_STRIDE == 0
-        _check("map_size", self.map_size, multiple, f"a multiple of {MAP_STRIDE}")
+            check(name, getattr(self, name) >= least, f"at least {least}", getattr(self, name))
+        size = self.map_size
+        check("map_size", size % MAP_STRIDE == 0, f"a multiple of {MAP_STRIDE}", size)
         # The ends fix five control points, and a spline has more points than its degree.
         points, least = self.num_control_points, max(self.degree, ENDS_FIX) + 1
-        _check("num_control_points", points, points >= least, f"at least {least}")
-        enough = self.num_steps >= points
-        _check("num_steps", self.num_steps, enough, f"at least num_control_points, {points}")
+        check("num_control_points", points >= least, f"at least {least}", points)
+        needed = f"at least num_control_points, {points}"
+        check("num_steps", self.num_steps >= points, needed, self.num_steps)
 
     @property
     def size(self) -> TransformerSize:
@@ -110,16 +111,11 @@ class L2Config:
 
 def check_choice(name: str, value: object, choices: tuple[object, ...]) -> None:
     """Raise ValueError, naming the field, if a value is none of the choices."""
-    _check(name, value, value in choices, f"one of {', '.join(map(repr, choices))}")
+    check(name, value in choices, f"one of {', '.join(map(repr, choices))}", repr(value))
 
 
 def _check_type(name: str, value: object, kind: type) -> None:
     # A whole number is a number; True is no number of steps.
     allowed = (int, float) if kind is float else kind
     fits = isinstance(value, allowed) and (kind is bool) == isinstance(value, bool)
-    _check(name, value, fits, f"a value of type {kind.__name__}")
-
-
-def _check(name: str, value: object, holds: bool, expected: str) -> None:
-    if not holds:
-        raise ValueError(f"{name}: expected {expected}, got {value!r}")
+    check(name, fits, f"a value of type {kind.__name__}", repr(value))

@@ -16,7 +16,7 @@ from anchorflow_models.checks import check
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_service.engine.samplers.flow import renoised
 from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, with_neutral_channels
+from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, finer_cells
 
 Numbers = ArrayLike | Tensor
 
@@ -40,7 +40,7 @@ def requested_scenes(
 ) -> list[Scene]:
     """Read a request into scenes for a model of this configuration.
 
-    cost_map: [C, H, W], C up to the model's; channels left out are neutral
+    cost_map: [C, H, W]; channels left out are neutral
     x_curr: [3D]; x_goal: [2D]
     w_style: [3], scaled to sum to 1, or a style's name; balanced by default
     origin: [2] m; by default the map's centre is (0, 0)
@@ -67,10 +67,11 @@ def requested_scenes(
     )
     _check_fits(request, config)
     grid = request.cost_map
+    cells, finer = finer_cells(grid.data, grid.resolution)
     return [
         Scene(
-            cost_map=with_neutral_channels(grid.data[b], config.map_channels),
-            resolution=grid.resolution,
+            cost_map=cells[b],
+            resolution=finer,
             origin=grid.origin,
             robot_radius=robot_radius,
             x_curr=request.x_curr[b],
@@ -147,11 +148,6 @@ def as_numpy(value: Any) -> Any:
 
 
 def _check_fits(request: AnchorRequest, config: L2Config) -> None:
-    channels, got = config.map_channels, request.cost_map.data.shape[1]
-    if got > channels:
-        raise InvalidRequest(
-            f"expected C from 1 to {channels}, the model's, got {got}", "cost_map.data"
-        )
     if request.on_map.dim != config.dim:
         raise InvalidRequest(
             f"expected [{3 * config.dim}] or [B,{3 * config.dim}], as the model has "

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from anchorflow_models.checks import check
+
 BACKBONES = ("mlp", "transformer")
 MULTIPLES = {"channels": 8, "width": 4}
 """Groups of the scene encoder's normalisation, and heads of the transformer."""
@@ -96,9 +98,8 @@ class GoalFlowConfig:
     score: ScoreWeights = field(default_factory=ScoreWeights)
 
     def __post_init__(self) -> None:
-        if self.backbone not in BACKBONES:
-            known = ", ".join(BACKBONES)
-            raise ValueError(f"backbone: expected one of {known}, got {self.backbone!r}")
+        known = f"one of {', '.join(BACKBONES)}"
+        check("backbone", self.backbone in BACKBONES, known, repr(self.backbone))
         own = vars(self)
         sides = {f"bev.{name}": getattr(self.bev, name) for name in ("rows", "columns")}
         for name, got, fits, what in (
@@ -108,8 +109,7 @@ class GoalFlowConfig:
             *((n, own[n], own[n] > 0, "above 0") for n in ("dt", "sigma")),
             *((n, side, side % 16 == 0, "a multiple of 16") for n, side in sides.items()),
         ):
-            if not fits:
-                raise ValueError(f"{name}: expected {what}, got {got}")
+            check(name, fits, what, got)
 
     @property
     def ways(self) -> int:

@@ -1,13 +1,13 @@
-"""The control barrier: its condition holds, it leaves alone what is clear, anchors gain room."""
+"""The control barrier and the clearance that it reads: condition, gradients, anchors with room."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from flowmp_scenes import PLAIN, ROOM, GaussianFlow
 from torch import Tensor
 
 from anchorflow_models.generation import (
@@ -17,7 +17,7 @@ from anchorflow_models.generation import (
     TrajectoryGenerator,
 )
 from anchorflow_models.generation.steering import SLACK, Barrier
-from anchorflow_trajectory.cost.clearance import clearance_field
+from anchorflow_trajectory.cost.clearance import GridField, clearance_field
 
 RATE = 6.0
 SCENES, COUNT, STEPS = 2, 5, 9
@@ -85,13 +85,11 @@ def test_where_nothing_can_move_nothing_does(barrier: Barrier, x: Tensor) -> Non
 
 
 @pytest.mark.parametrize("method", ["euler", "rk4"])
-def test_anchors_that_graze_a_block_are_steered_clear(
-    gaussian_flow: Callable, room: Any, plain: dict, method: str
-) -> None:
+def test_anchors_that_graze_a_block_are_steered_clear(method: str) -> None:
     def clearance(**settings: Any) -> Tensor:
-        config = GeneratorConfig(method=method, **plain, **settings)
-        generator = TrajectoryGenerator(gaussian_flow(), config)
-        return generator.generate(*room.ends, seed=0).clearance
+        config = GeneratorConfig(method=method, **PLAIN, **settings)
+        generator = TrajectoryGenerator(GaussianFlow(), config)
+        return generator.generate(*ROOM.ends, seed=0).clearance
 
     free, kept = clearance(), clearance(barrier_rate=5.0)
     assert float((free > 0).float().mean()) < 0.6
@@ -102,18 +100,44 @@ def test_anchors_that_graze_a_block_are_steered_clear(
     assert float(free.median()) < float(slower.median()) < float(kept.median())
 
 
-def test_the_barrier_has_the_last_word_over_guidance(
-    gaussian_flow: Callable, room: Any, plain: dict
-) -> None:
+def test_the_barrier_has_the_last_word_over_guidance() -> None:
     """A cost that pulls into the block."""
     generator = TrajectoryGenerator(
-        gaussian_flow(), GeneratorConfig(barrier_rate=5.0, num_samples=16, **plain)
+        GaussianFlow(), GeneratorConfig(barrier_rate=5.0, num_samples=16, **PLAIN)
     )
     guidance = Guidance(lambda x: x[..., 1].square().mean(-1), 20.0)
-    anchors = generator.generate(*room.ends, seed=0, guidance=guidance)
+    anchors = generator.generate(*ROOM.ends, seed=0, guidance=guidance)
     assert float((anchors.clearance > 0).float().mean()) > 0.8
 
 
 def test_a_rate_out_of_range_is_named() -> None:
     with pytest.raises(ValueError, match="barrier_rate: expected a number above 0, got 0"):
         GeneratorConfig(barrier_rate=0.0)
+
+
+def test_values_and_gradients_are_those_of_the_service() -> None:
+    rng = np.random.default_rng(0)
+    maps = [clearance_field(rng.random((30, 20)) < 0.05, 0.2, 0.1) for _ in range(2)]
+    geometry = torch.tensor([[-1.0, 2.0, 0.2], [3.0, -4.0, 0.2]])
+    corner = geometry[:, None, :2].numpy()
+    # Some lie beyond the map on either side.
+    points = (corner + rng.uniform([-1, -1], [5, 7], (2, 200, 2))).astype(np.float32)
+    x = torch.tensor(points).reshape(2, 10, 20, 2).requires_grad_()
+    got = ClearanceMap(torch.from_numpy(np.stack(maps)), geometry)(x)
+    (gradient,) = torch.autograd.grad(got.sum(), x)
+    for b, values in enumerate(maps):
+        field = GridField(values, 0.2, corner[b, 0].astype(np.float64))
+        value, *slopes = field.sample_with_gradient(points[b, :, 0], points[b, :, 1])
+        np.testing.assert_allclose(got[b].detach().reshape(-1), value, atol=1e-5)
+        inside = ((points[b] > corner[b] + 0.1) & (points[b] < corner[b] + (3.9, 5.9))).all(-1)
+        slopes_here = gradient[b].reshape(-1, 2)[inside]
+        np.testing.assert_allclose(slopes_here.T, np.array(slopes)[:, inside], atol=5e-5)
+
+
+def test_beyond_the_map_the_way_back_is_uphill() -> None:
+    clearance = ClearanceMap(torch.zeros(1, 10, 10), torch.tensor([[0.0, 0.0, 1.0]]))
+    x = torch.tensor([[[-1.5, 5.0], [5.0, 12.0]]]).requires_grad_()
+    got = clearance(x)
+    assert got.tolist() == [[-2.0, -2.5]]
+    (gradient,) = torch.autograd.grad(got.sum(), x)
+    assert gradient.tolist() == [[[1.0, 0.0], [0.0, -1.0]]]

@@ -2,60 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
+from flowmp_scenes import ROOM, GaussianFlow
 
 from anchorflow_models.generation import AnchorTensors, GeneratorConfig, TrajectoryGenerator
 
 BENT = torch.tensor([0.3, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0])  # at every step, the ends too
 
 
-@pytest.fixture
-def finish(gaussian_flow: Callable, room: Any) -> Callable[..., AnchorTensors]:
+def finish(flow: dict | None = None, **settings: Any) -> AnchorTensors:
     """64 anchors of seed 0 on their way through the block, finished as the settings say."""
-
-    def finished(flow: dict | None = None, **settings: Any) -> AnchorTensors:
-        generator = TrajectoryGenerator(gaussian_flow(**flow or {}), GeneratorConfig(**settings))
-        return generator.generate(*room.ends, seed=0)
-
-    return finished
+    generator = TrajectoryGenerator(GaussianFlow(**flow or {}), GeneratorConfig(**settings))
+    return generator.generate(*ROOM.ends, seed=0)
 
 
-def test_smoothing_meets_both_ends(finish: Callable, room: Any) -> None:
+def test_smoothing_meets_both_ends() -> None:
     rough, smooth = (finish({"shift": BENT}, smooth=s, project=False) for s in (False, True))
     for field, begin, end in (
-        ("trajectories", room.x_curr[:2], room.x_goal[:2]),
-        ("velocities", room.x_curr[2:4], room.x_goal[2:]),
+        ("trajectories", ROOM.x_curr[:2], ROOM.x_goal[:2]),
+        ("velocities", ROOM.x_curr[2:4], ROOM.x_goal[2:]),
     ):
         met = getattr(smooth, field)[:, [0, -1]]
         torch.testing.assert_close(
             met, torch.tensor([begin, end]).expand_as(met), atol=5e-5, rtol=0
         )
-    off = rough.trajectories[:, 0] - torch.tensor(room.x_curr[:2])
+    off = rough.trajectories[:, 0] - torch.tensor(ROOM.x_curr[:2])
     assert float(off.norm(dim=-1).min()) > 0.4
 
 
-def test_projection_makes_anchors_safe(finish: Callable) -> None:
+def test_projection_makes_anchors_safe() -> None:
     drawn, projected = finish(project=False), finish(project=True)
     assert float(drawn.safe.float().mean()) < 0.4
     assert float(projected.safe.float().mean()) > 0.9
     assert float(projected.scores.mean()) > float(drawn.scores.mean())
 
 
-def test_the_margin_is_in_metres(gaussian_flow: Callable, room: Any) -> None:
+def test_the_margin_is_in_metres() -> None:
     """Energy alone wants to pass as near as it may."""
     tenths = []
     for margin in (0.0, 0.5):
         config = GeneratorConfig(safety_margin=margin, refine_steps=60)
-        generator = TrajectoryGenerator(gaussian_flow(), config)
-        anchors = generator.generate(*room.ends, w_style=(0.0, 1.0, 0.0), seed=0)
+        generator = TrajectoryGenerator(GaussianFlow(), config)
+        anchors = generator.generate(*ROOM.ends, w_style=(0.0, 1.0, 0.0), seed=0)
         tenths.append(float(anchors.clearance.quantile(0.1)))
     assert tenths == pytest.approx([0.0, 0.5], abs=0.1)
 
 
-def test_more_descents_cost_less(finish: Callable) -> None:
+def test_more_descents_cost_less() -> None:
     few, many = (finish(refine_steps=n).scores.median() for n in (2, 40))
     assert float(many) > float(few)

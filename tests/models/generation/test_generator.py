@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from flowmp_scenes import FREE_ROOM, ROOM, GaussianFlow, make_model
 from torch import Tensor
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE
-from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import (
     GeneratorConfig,
     TrajectoryGenerator,
@@ -19,6 +19,7 @@ from anchorflow_models.generation import (
     generate_trajectory_anchors,
     requested_scenes,
 )
+from anchorflow_models.generation.generator import integrate_adaptive
 from anchorflow_models.generation.scenes import dealt_routes, prior_means
 from anchorflow_trajectory.ode.methods import METHODS, RK4
 from anchorflow_trajectory.ode.schedule import stage_times
@@ -30,26 +31,19 @@ SHIFT = torch.tensor([0.0, 0.5, 0.1, 0.0, 0.0, 0.2, 0.1])
 UNITS = torch.tensor([1.0, 1.0, 6.0, 6.0, 36.0, 36.0, 1.0])
 
 
-@pytest.fixture
-def draw(gaussian_flow: Callable, free_room: Any) -> Callable[..., Tensor]:
+def draw(**settings: Any) -> Tensor:
     """States [N, T, S] as a configuration draws them from seed 3."""
-
-    def drawn(**settings: Any) -> Tensor:
-        flow = gaussian_flow(shift=SHIFT)
-        generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=5, **settings))
-        scenes = requested_scenes(*free_room.ends, config=flow.config)
-        return generator.sample_states(scenes, seed=3)[0]
-
-    return drawn
+    flow = GaussianFlow(shift=SHIFT)
+    generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=5, **settings))
+    scenes = requested_scenes(*FREE_ROOM.ends, config=flow.config)
+    return generator.sample_states(scenes, seed=3)[0]
 
 
-@pytest.fixture
-def expected(gaussian_flow: Callable, free_room: Any) -> Tensor:
+def expected() -> Tensor:
     """x_1 = x_0 + shift: the flow's own end, from the service's noise for seed 3."""
-    flow = gaussian_flow(shift=SHIFT)
-    scenes = requested_scenes(*free_room.ends, config=flow.config)
-    cpu = torch.device("cpu")
-    context = flow.encode(**encode_inputs(scenes, cpu))
+    flow = GaussianFlow(shift=SHIFT)
+    scenes = requested_scenes(*FREE_ROOM.ends, config=flow.config)
+    context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     mean = torch.from_numpy(prior_means(scenes, 5))
     size = 5, context["prior_basis"].shape[1]
     noise = np.random.Generator(np.random.PCG64(3)).standard_normal(size, dtype=np.float32)
@@ -66,13 +60,11 @@ def expected(gaussian_flow: Callable, free_room: Any) -> Tensor:
         ({"method": "rk45", "rtol": 1e-5, "atol": 1e-5}, 5e-4),
     ],
 )
-def test_every_method_reaches_the_closed_form(
-    draw: Callable[..., Tensor], expected: Tensor, settings: dict, tolerance: float
-) -> None:
-    assert float(((draw(**settings) - expected) / UNITS).abs().max()) < tolerance
+def test_every_method_reaches_the_closed_form(settings: dict, tolerance: float) -> None:
+    assert float(((draw(**settings) - expected()) / UNITS).abs().max()) < tolerance
 
 
-def test_the_methods_are_not_one_another(draw: Callable[..., Tensor]) -> None:
+def test_the_methods_are_not_one_another() -> None:
     coarse = [draw(method=name, steps=2) for name in METHODS] + [draw(method="rk45")]
     for i, one in enumerate(coarse):
         for other in coarse[:i]:
@@ -88,36 +80,34 @@ def test_the_methods_are_not_one_another(draw: Callable[..., Tensor]) -> None:
     ],
 )
 def test_the_schedule_says_when_the_field_is_asked(
-    gaussian_flow: Callable, free_room: Any, settings: dict, schedule: tuple[float, ...]
+    settings: dict, schedule: tuple[float, ...]
 ) -> None:
-    flow = gaussian_flow()
+    flow = GaussianFlow()
     config = GeneratorConfig(num_samples=2, **settings)
-    TrajectoryGenerator(flow, config).generate(*free_room.ends)
+    TrajectoryGenerator(flow, config).generate(*FREE_ROOM.ends)
     assert flow.asked == [stage_times(RK4, schedule).times.tolist()]
 
 
 @pytest.mark.parametrize("name", ["rtol", "atol"])
-def test_a_looser_tolerance_asks_less_often(
-    gaussian_flow: Callable, free_room: Any, name: str
-) -> None:
+def test_a_looser_tolerance_asks_less_often(name: str) -> None:
     counts = []
     for tolerance in (1e-2, 1e-5):
-        flow = gaussian_flow(shift=SHIFT)
+        flow = GaussianFlow(shift=SHIFT)
         tolerances: Any = {"rtol": 1e-5, "atol": 1e-5, name: tolerance}
         config = GeneratorConfig(method="rk45", num_samples=4, **tolerances)
-        TrajectoryGenerator(flow, config).generate(*free_room.ends, seed=0)
+        TrajectoryGenerator(flow, config).generate(*FREE_ROOM.ends, seed=0)
         counts.append(len(flow.asked))
     assert counts[0] < counts[1]
 
 
-def test_num_samples_and_seed(gaussian_flow: Callable, free_room: Any) -> None:
-    flow = gaussian_flow()
+def test_num_samples_and_seed() -> None:
+    flow = GaussianFlow()
     # The projection compares anchors, so with it the first three of seven need not be the three.
     few = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, steps=2, project=False))
     many = TrajectoryGenerator(flow, GeneratorConfig(num_samples=7, steps=2, project=False))
 
     def drawn(generator: TrajectoryGenerator, seed: int | torch.Generator | None) -> Tensor:
-        return generator.generate(*free_room.ends, seed=seed).trajectories
+        return generator.generate(*FREE_ROOM.ends, seed=seed).trajectories
 
     assert drawn(many, 1).shape == (7, 32, 2)
     torch.testing.assert_close(drawn(few, 1), drawn(many, 1)[:3])
@@ -129,7 +119,7 @@ def test_num_samples_and_seed(gaussian_flow: Callable, free_room: Any) -> None:
     assert not torch.equal(one, other)
 
 
-def test_a_scene_is_the_same_alone_and_in_a_batch(make_model: Callable[..., L2SafetyCFM]) -> None:
+def test_a_scene_is_the_same_alone_and_in_a_batch() -> None:
     """Neither what is drawn nor what is finished in one scene looks at another."""
     model = make_model(num_steps=32, num_control_points=12)
     generator = TrajectoryGenerator(model, GeneratorConfig(num_samples=3, steps=2, refine_steps=4))
@@ -149,11 +139,11 @@ def test_a_scene_is_the_same_alone_and_in_a_batch(make_model: Callable[..., L2Sa
             torch.testing.assert_close(one, other, atol=2e-4, rtol=2e-4)
 
 
-def test_anchors_begin_on_the_routes_in_turn(gaussian_flow: Callable, room: Any) -> None:
+def test_anchors_begin_on_the_routes_in_turn() -> None:
     """A prior that spreads nothing leaves the routes themselves, and their durations."""
-    flow = gaussian_flow()
+    flow = GaussianFlow()
     flow.prior.set_covariance(1e-12 * np.eye(flow.prior.rank))
-    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config)
+    (scene,) = scenes = requested_scenes(*ROOM.ends, config=flow.config)
     (drawn,) = TrajectoryGenerator(flow, GeneratorConfig(num_samples=5)).sample_states(scenes)
     assert len(scene.routes) == 2  # one on either side of the block
     assert dealt_routes(scene, 5).tolist() == [0, 1, 0, 1, 0]
@@ -163,10 +153,10 @@ def test_anchors_begin_on_the_routes_in_turn(gaussian_flow: Callable, room: Any)
     assert middles.tolist() in ([1, -1, 1, -1, 1], [-1, 1, -1, 1, -1])
 
 
-def test_one_scene_is_no_batch(gaussian_flow: Callable, free_room: Any) -> None:
-    cost_map, x_curr, x_goal = free_room.ends
+def test_one_scene_is_no_batch() -> None:
+    cost_map, x_curr, x_goal = FREE_ROOM.ends
     with pytest.raises(ValueError, match="B: expected one scene"):
-        TrajectoryGenerator(gaussian_flow()).generate(cost_map, [x_curr, x_curr], x_goal)
+        TrajectoryGenerator(GaussianFlow()).generate(cost_map, [x_curr, x_curr], x_goal)
 
 
 @pytest.mark.parametrize(
@@ -192,6 +182,57 @@ def test_a_setting_out_of_range_is_named(settings: dict, message: str) -> None:
         GeneratorConfig(**settings)
 
 
+X_0 = torch.tensor([[[0.1, 0.3], [0.5, 0.7]]], dtype=torch.float64)
+
+
+def slope(t: float | Tensor, x: Tensor) -> Tensor:
+    """dx/dt = 3 (1 + t) x (1 - x): nonlinear, time-dependent, and solved in closed form."""
+    return 3 * (1 + t) * x * (1 - x)
+
+
+def exact(x_0: Tensor, start: float = 0.0) -> Tensor:
+    growth = 3 * (1.5 - start - start**2 / 2)
+    return 1 / (1 + (1 / x_0 - 1) * math.exp(-growth))
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+def test_the_adaptive_method_meets_its_tolerance(tolerance: float) -> None:
+    evaluations = 0
+
+    def field(t: Tensor, x: Tensor) -> Tensor:
+        nonlocal evaluations
+        evaluations += 1
+        return slope(t, x)
+
+    for start in (0.0, 0.6):
+        got = integrate_adaptive(field, X_0, start=start, rtol=tolerance, atol=tolerance)
+        assert float((got - exact(X_0, start)).abs().max()) < 5 * tolerance
+    # Order 5: a thousandth of the error costs about four times the steps, not a thousand times.
+    assert evaluations < 30 * 4 ** (-math.log10(tolerance) / 3)
+
+
+def test_one_hard_sample_among_many_is_solved_as_if_alone() -> None:
+    """Averaged over all samples its error would count for a thousandth."""
+
+    def solved(rates: Tensor) -> Tensor:
+        return integrate_adaptive(
+            lambda t, x: rates * torch.cos(rates * t) * x,
+            torch.ones_like(rates),
+            start=0.0,
+            rtol=1e-5,
+            atol=1e-5,
+        )
+
+    hard = torch.full((1, 1, 1), 40.0, dtype=torch.float64)
+    among_many = solved(torch.cat([hard, torch.zeros(1, 999, 1, dtype=torch.float64)], 1))
+    torch.testing.assert_close(among_many[:, :1], solved(hard), rtol=1e-12, atol=0)
+
+
+def test_a_tolerance_finer_than_the_numbers_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"rtol: expected at least 1\.2e-06 for torch\.float32"):
+        integrate_adaptive(slope, X_0.float(), start=0.0, rtol=1e-7, atol=1e-7)
+
+
 MAPS = np.zeros((2, 3, 48, 48), np.float32)
 MAPS[:, 1] = 1.0
 
@@ -204,9 +245,7 @@ def ends(dim: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("options", [{}, {"dim": 3}, {"backbone": "unet"}])
-def test_flattened_scenes_and_samples_share_an_axis(
-    make_model: Callable[..., L2SafetyCFM], options: dict
-) -> None:
+def test_flattened_scenes_and_samples_share_an_axis(options: dict) -> None:
     model = make_model(num_steps=32, num_control_points=12, **options)
     dim, style = model.config.dim, [[0.4, 0.3, 0.3], [0.1, 0.8, 0.1]]
     config = GeneratorConfig(num_samples=4, steps=2, refine_steps=3)
@@ -218,7 +257,7 @@ def test_flattened_scenes_and_samples_share_an_axis(
         assert torch.equal(field, expected.reshape(8, 32, dim))
 
 
-def test_options_reach_the_generator(make_model: Callable[..., L2SafetyCFM]) -> None:
+def test_options_reach_the_generator() -> None:
     """The same scene 10 m further east, told by its origin."""
     model = make_model(num_steps=32, num_control_points=12)
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from flowmp_scenes import FREE_ROOM, ROOM, GaussianFlow, make_model
 from torch import Tensor
 
-from anchorflow_models import L2SafetyCFM
 from anchorflow_models.generation import (
     GeneratorConfig,
     Guidance,
@@ -31,48 +30,44 @@ def miss_of_via(states: Tensor) -> Tensor:
     return (states[:, :, states.shape[2] // 2, :2] - VIA).square().sum(-1)
 
 
-def drawn(generator: TrajectoryGenerator, room: Any, **how: Any) -> Tensor:
+def drawn(generator: TrajectoryGenerator, **how: Any) -> Tensor:
     """States [1, N, T, S] in own time as the generator draws them."""
-    scenes = requested_scenes(*room.ends, config=generator.model.config)
+    scenes = requested_scenes(*FREE_ROOM.ends, config=generator.model.config)
     return generator.sample_states(scenes, **how)
 
 
 @pytest.mark.parametrize("method", ["rk4", "rk45"])
-def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(
-    gaussian_flow: Callable, free_room: Any, method: str
-) -> None:
+def test_a_linear_cost_tilts_a_gaussian_as_in_closed_form(method: str) -> None:
     """N(m, Σ) exp(-scale w·x) is N(m - scale Σ w, Σ): every anchor moves by -scale Σ w."""
-    flow = gaussian_flow(shift=torch.tensor([0.2, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    flow = GaussianFlow(shift=torch.tensor([0.2, 0.0, 0.0, 0.1, 0.0, 0.0, 0.1]))
     settings = {"method": method, "steps": 16, "rtol": 1e-5, "atol": 1e-5}
     generator = TrajectoryGenerator(flow, GeneratorConfig(num_samples=3, **settings))
     weight = torch.randn(32, 7, generator=torch.Generator().manual_seed(1))
-    free = drawn(generator, free_room, seed=2)
+    free = drawn(generator, seed=2)
     guidance = Guidance(lambda x: (x * weight).sum((-2, -1)), 0.3)
-    guided = drawn(generator, free_room, seed=2, guidance=guidance)
-    scenes = requested_scenes(*free_room.ends, config=flow.config)
+    guided = drawn(generator, seed=2, guidance=guidance)
+    scenes = requested_scenes(*FREE_ROOM.ends, config=flow.config)
     context = flow.encode(**encode_inputs(scenes, torch.device("cpu")))
     basis = context["prior_basis"][0]
     moved = -0.3 * (basis.T @ (basis @ weight.flatten())).reshape(1, 1, 32, 7)
     torch.testing.assert_close(guided - free, moved.expand(1, 3, -1, -1), atol=5e-3, rtol=5e-3)
 
 
-def test_a_larger_scale_lowers_the_cost_further(gaussian_flow: Callable, free_room: Any) -> None:
-    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig())
+def test_a_larger_scale_lowers_the_cost_further() -> None:
+    generator = TrajectoryGenerator(GaussianFlow(), GeneratorConfig())
     costs = [
-        miss_of_via(drawn(generator, free_room, seed=0, guidance=Guidance(miss_of_via, scale)))
+        miss_of_via(drawn(generator, seed=0, guidance=Guidance(miss_of_via, scale)))
         for scale in (0.0, 4.0, 16.0)
     ]
     assert costs[0].mean() > 1.3 * costs[1].mean() > 1.3**2 * costs[2].mean()
-    torch.testing.assert_close(costs[0], miss_of_via(drawn(generator, free_room, seed=0)))
+    torch.testing.assert_close(costs[0], miss_of_via(drawn(generator, seed=0)))
 
 
-def test_a_network_is_guided_and_its_ends_stay(
-    make_model: Callable[..., L2SafetyCFM], free_room: Any
-) -> None:
+def test_a_network_is_guided_and_its_ends_stay() -> None:
     model = make_model(num_steps=32, num_control_points=12)
     generator = TrajectoryGenerator(model, GeneratorConfig(num_samples=8))
-    free = drawn(generator, free_room, seed=0)
-    guided = drawn(generator, free_room, seed=0, guidance=Guidance(miss_of_via, 5.0))
+    free = drawn(generator, seed=0)
+    guided = drawn(generator, seed=0, guidance=Guidance(miss_of_via, 5.0))
     assert float(miss_of_via(guided).mean()) < 0.8 * float(miss_of_via(free).mean())
     # Not the network's doing, whose ends are free: the difference starts and ends at rest.
     ends = (guided - free)[0][:, [0, -1], :2]
@@ -122,13 +117,11 @@ class StateCost(torch.autograd.Function):
 
 @pytest.mark.parametrize("t", [0.0, 0.4, 0.9])
 @pytest.mark.parametrize("horizon_s", [None, 6.0])
-def test_the_service_guides_as_this_does(
-    gaussian_flow: Callable, room: Any, t: float, horizon_s: float | None
-) -> None:
+def test_the_service_guides_as_this_does(t: float, horizon_s: float | None) -> None:
     """The same cost in numpy, pulled back by hand, and here by autograd and differences."""
-    flow, cpu = gaussian_flow(), torch.device("cpu")
+    flow, cpu = GaussianFlow(), torch.device("cpu")
     motion = MotionLimits(v_max=2.0, a_max=3.0, horizon_s=horizon_s)
-    (scene,) = scenes = requested_scenes(*room.ends, config=flow.config, motion=motion)
+    (scene,) = scenes = requested_scenes(*ROOM.ends, config=flow.config, motion=motion)
     context = flow.encode(**encode_inputs(scenes, cpu))
     mean = torch.from_numpy(prior_means(scenes, 6))
     basis, refiner = context["prior_basis"], Refiner(scene, 20)
@@ -151,19 +144,19 @@ def test_the_service_guides_as_this_does(
     np.testing.assert_allclose(guided, expected[0].numpy(), rtol=0, atol=2e-2 * size)
 
 
-def test_one_anchors_cost_does_not_move_another(gaussian_flow: Callable, free_room: Any) -> None:
-    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=4))
+def test_one_anchors_cost_does_not_move_another() -> None:
+    generator = TrajectoryGenerator(GaussianFlow(), GeneratorConfig(num_samples=4))
     only_first = torch.tensor([[1.0, 0, 0, 0]])
     guidance = Guidance(lambda x: only_first * miss_of_via(x), 2.0)
-    free, guided = (drawn(generator, free_room, seed=0, guidance=g) for g in (None, guidance))
+    free, guided = (drawn(generator, seed=0, guidance=g) for g in (None, guidance))
     moved = (guided - free)[0].abs().amax((-2, -1))
     assert float(moved[0]) > 0.1
     assert float(moved[1:].max()) == 0.0
 
 
-def test_what_is_no_cost_is_named(gaussian_flow: Callable, free_room: Any) -> None:
-    generator = TrajectoryGenerator(gaussian_flow(), GeneratorConfig(num_samples=4))
+def test_what_is_no_cost_is_named() -> None:
+    generator = TrajectoryGenerator(GaussianFlow(), GeneratorConfig(num_samples=4))
     with pytest.raises(ValueError, match=r"cost: expected \[B, N\] of the states, got \[\]"):
-        generator.generate(*free_room.ends, guidance=Guidance(Tensor.sum, 1.0))
+        generator.generate(*FREE_ROOM.ends, guidance=Guidance(Tensor.sum, 1.0))
     with pytest.raises(ValueError, match="scale: expected a number of 0 or more, got -1"):
         Guidance(miss_of_via, -1.0)

@@ -29,14 +29,13 @@ def scenes(**changes: Any) -> list[Scene]:
     return requested_scenes(**(fields | changes))
 
 
-def test_defaults_centre_the_map_and_fill_its_channels() -> None:
+def test_defaults_centre_the_map_and_networks_see_three_channels() -> None:
     (one,) = scenes()
     np.testing.assert_allclose(one.origin, [-3.0, -2.0])
     np.testing.assert_allclose(one.w_style, [0.4, 0.3, 0.3])
-    assert one.cost_map.shape == (3, 40, 60)
-    assert (one.cost_map[1] == 1).all()
-    assert not one.cost_map[2].any()
     inputs = encode_inputs([one], CPU)
+    occupied, traversability, risk = inputs["cost_map"][0]
+    assert (occupied.sum(), traversability.min(), risk.max()) == (1.0, 1.0, 0.0)
     torch.testing.assert_close(inputs["map_geometry"], torch.tensor([[-3.0, -2.0, 0.1]]))
 
 
@@ -44,14 +43,15 @@ def test_resolution_origin_and_radius_are_heeded() -> None:
     (other,) = scenes(resolution=0.2, origin=[-2.0, -3.0], robot_radius=0.4)
     occupied = np.zeros((40, 60), bool)
     occupied[30, 30] = True
-    np.testing.assert_allclose(other.clearance_field, clearance_field(occupied, 0.2, 0.4))
+    cut = occupied.repeat(2, 0).repeat(2, 1)
+    np.testing.assert_allclose(other.clearance_field, clearance_field(cut, 0.1, 0.4))
     np.testing.assert_allclose(other.routes[0].points[[0, -1]], [X_CURR[:2], X_GOAL[:2]])
     np.testing.assert_allclose(other.limits, [2.0, 3.0, 0.4, 0.0], rtol=1e-6)
 
 
 def test_a_style_may_be_told_by_its_name() -> None:
     (one,) = scenes(w_style="efficient")
-    np.testing.assert_allclose(one.w_style, [0.1, 0.8, 0.1])
+    np.testing.assert_allclose(one.w_style, [0.2, 0.5, 0.3])
     with pytest.raises(InvalidRequest, match="conservative, balanced, efficient, comfortable"):
         scenes(w_style="brave")
 
@@ -79,7 +79,7 @@ def test_what_has_no_scene_axis_is_the_same_in_every_scene() -> None:
     assert len(several) == 3
     inputs = encode_inputs(several, CPU)
     assert inputs["x_goal"].tolist() == [X_GOAL] * 3
-    assert inputs["w_style"].tolist() == [[0.5, 0.25, 0.25]] * 3
+    torch.testing.assert_close(inputs["w_style"], torch.tensor([[0.8, 0.1, 0.1]] * 3))
     assert inputs["cost_map"].shape == (3, 3, 40, 60)
 
 
@@ -96,7 +96,7 @@ def test_tensors_are_taken_and_gradients_left_behind() -> None:
         ({"x_curr": [-1.0] * 9, "x_goal": [1.0] * 6}, "x_curr", r"the model has D = 2, got \[9\]"),
         ({"x_curr": [0.05, 1.05, 0, 0, 0, 0]}, "x_curr", "a cell of occupancy below 0.5"),
         ({"cost_map": np.zeros((40, 60))}, "cost_map.data", r"\[C,H,W\] or \[B,C,H,W\]"),
-        ({"cost_map": np.zeros((4, 40, 60))}, "cost_map.data", "C from 1 to 3, the model's, got 4"),
+        ({"cost_map": np.zeros((17, 40, 60))}, "cost_map.data", "C from 1 to 16, got 17"),
         ({"origin": [1.0, 2.0, 3.0]}, "cost_map.origin", r"shape \[2\], got \[3\]"),
         ({"x_curr": [X_CURR] * 2, "x_goal": [X_GOAL] * 3}, "x_goal", "B = 2 as in x_curr, got 3"),
     ],

@@ -26,7 +26,7 @@ def statuses(*speeds: float) -> Tensor:
 SIZE = torch.tensor([[4.6, 1.9]])
 SETTLED_WAYS = 2 * len(TURNS) + len(HALTINGS)
 ONCE = 7 + 1 + SETTLED_WAYS
-"""Return the ways of a model without a route, before they repeat."""
+"""Ways of a model without a route, before they repeat."""
 
 
 @pytest.fixture(params=["mlp", "transformer"])
@@ -177,18 +177,3 @@ def test_a_box_in_the_way_and_a_road_that_ends_cost_score(model: GoalFlow) -> No
     assert score(gone) == pytest.approx(free, rel=1e-3)
     assert score(parked) < 0.05 * free
     assert score(ends) < 0.05 * free
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"backbone": "unet"}, "backbone: expected one of mlp, transformer, got 'unet'"),
-        ({"picked": 256}, "picked: expected below goals, 256, got 256"),
-        ({"sigma": 0.0}, "sigma: expected above 0"),
-        ({"width": 18}, "width: expected a multiple of 4, got 18"),
-        ({"channels": 12}, "channels: expected a multiple of 8, got 12"),
-    ],
-)
-def test_a_wrong_configuration_is_named(wrong: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        GoalFlowConfig(**wrong)  # pyright: ignore[reportArgumentType]

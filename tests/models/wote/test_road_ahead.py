@@ -1,22 +1,24 @@
-"""WoTE with `ground_sight` and `encounters`."""
+"""WoTE with `footprint`, `ground_sight` and `encounters`."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from small_configs import WOTE
-from tiny_wote import TINY, sensors, tiny_wote
+from tiny_wote import AHEAD, TINY, sensors, tiny_wote
 from torch import Tensor
 
+from anchorflow_models.transfuser import placed
 from anchorflow_models.wote import WoTE, WoteConfig
 
-BACKBONE = replace(
-    TINY.backbone, image_height=32, image_width=128, lidar_size=128, lidar_before=True
-)
-AHEAD = replace(TINY, ground_sight=True, encounters=((0.0, 0.0), (5.0, 0.0)), backbone=BACKBONE)
+BACKBONE = AHEAD.backbone
+
+Place = tuple[float, float]
 
 
 def planner(config: WoteConfig = AHEAD) -> WoTE:
@@ -36,18 +38,18 @@ def rewards(model: WoTE, context: dict[str, Tensor], poses: Tensor) -> Tensor:
         bev,
         model.move(bev, context["ego"]),
         fine=context["bev_fine"],
-        foretold=context["foretold"],
+        foretold=context.get("foretold"),
         motion=context.get("ego_motion"),
         poses=poses[None],
     )
     return torch.cat([judged.simulation, judged.imitation[..., None]], -1)[0]
 
 
-def standing(*places: float) -> Tensor:
-    """[K, T, 3]: half of the anchors at the first place, the others at the second."""
+def standing(*places: Place) -> Tensor:
+    """[K, T, 3]: half of the anchors at the first place (m), the others at the second."""
     poses = torch.zeros(AHEAD.anchors, AHEAD.num_steps, 3)
     for half, place in zip(poses.chunk(len(places)), places, strict=True):
-        half[..., 0] = place
+        half[..., :2] = torch.tensor(place)
     return poses
 
 
@@ -64,35 +66,24 @@ def test_the_shapes() -> None:
     assert scored["scores"].shape == (2, 12)
 
 
+@pytest.mark.parametrize(
+    ("config", "name", "cells", "places"),
+    [
+        (AHEAD, "bev_fine", np.s_[:, 6:10], ((40.0, 0.0), (20.0, 0.0))),  # 36 to 44 m ahead
+        (AHEAD, "foretold", np.s_[:, :, 29:33, 14:18], ((10.0, 0.0), (10.0, 20.0))),  # 6 to 14 m
+        (TINY, "bev_fine", np.s_[:, :5], ((0.0, 0.0), (-20.0, 0.0))),  # about the ego and ahead
+    ],
+    ids=["beyond the lidar", "who will be there", "under the car"],
+)
 @torch.inference_mode()
-def test_scenes_do_not_touch_one_another() -> None:
-    model, inputs = planner(), sensors(AHEAD, B=2)
-    together = model.encode(**inputs)
-    alone = model.encode(**{name: tensor[1:] for name, tensor in inputs.items()})
-    for name, array in alone.items():
-        torch.testing.assert_close(together[name][1:], array, rtol=1e-4, atol=1e-5)
-
-
-@torch.inference_mode()
-def test_rewards_heed_what_lies_beyond_the_lidar_where_an_anchor_leads() -> None:
-    model = planner()
-    context = model.encode(**sensors(AHEAD, B=1))
-    changed = dict(context, bev_fine=context["bev_fine"].clone())
-    changed["bev_fine"][:, 6:10] += 1.0  # 2 m a row from 56 m ahead: 36 to 44 m
-    before, after = (rewards(model, each, standing(40.0, 20.0)) for each in (context, changed))
-    assert (before == after).all(-1).tolist() == [False] * 6 + [True] * 6
-
-
-@torch.inference_mode()
-def test_rewards_are_told_who_will_be_where_an_anchor_leads() -> None:
-    model = planner()
-    context = model.encode(**sensors(AHEAD, B=1))
-    free = dict(context, foretold=torch.zeros_like(context["foretold"]))
-    taken = dict(context, foretold=torch.zeros_like(context["foretold"]))
-    taken["foretold"][:, :, 20 + 9 : 20 + 13, 14:18] = 1.0  # 6 to 14 m ahead
-    poses = standing(10.0, 10.0)
-    poses[6:, :, 1] = 20.0  # to the left
-    before, after = (rewards(model, each, poses) for each in (free, taken))
+def test_rewards_heed_what_lies_where_an_anchor_leads_and_nothing_beside(
+    config: WoteConfig, name: str, cells: Any, places: tuple[Place, Place]
+) -> None:
+    model = planner(config)
+    context = model.encode(**sensors(config, B=1))
+    changed = context | {name: context[name].clone()}
+    changed[name][cells] += 1.0
+    before, after = (rewards(model, each, standing(*places)) for each in (context, changed))
     assert (before == after).all(-1).tolist() == [False] * 6 + [True] * 6
 
 
@@ -103,7 +94,7 @@ def test_rewards_look_where_a_car_drives_that_follows_an_anchor() -> None:
     assert model.context_for_score[-1] == "ego_motion"
     changed = dict(context, bev_fine=context["bev_fine"].clone())
     changed["bev_fine"][:, 22:25] += 1.0  # 2 m a row from 56 m ahead: 6 to 12 m
-    told_to_stand = standing(0.0)
+    told_to_stand = standing((0.0, 0.0))
     heard = []
     for speed in (0.0, 8.0):  # a moving car halts farther ahead
         motion = torch.tensor([[speed, 0.0, 0.0, 0.0]])
@@ -142,50 +133,26 @@ def test_the_picture_moves_tokens_and_fine_cells() -> None:
 
 @torch.inference_mode()
 def test_the_published_network_has_none_of_it() -> None:
-    model = tiny_wote()
-    assert not any(
-        part in name for part in ("ground", "sweeps", "far", "met.") for name in model.state_dict()
-    )
-    assert not WoteConfig().ground_sight
-    assert not WoteConfig().encounters
-    assert not WoteConfig().driven
-
-
-@torch.inference_mode()
-def test_nothing_foretold_is_an_error() -> None:
-    model = planner()
-    context = model.encode(**sensors(AHEAD, B=1))
-    with pytest.raises(ValueError, match="foretold: expected"):
-        model.score(context["bev_tokens"], context["ego"], context["bev_fine"])
-
-
-@torch.inference_mode()
-def test_no_motion_to_tell_what_is_driven_is_an_error() -> None:
-    model = planner(replace(AHEAD, driven=True))
-    context = model.encode(**sensors(AHEAD, B=1))
-    with pytest.raises(ValueError, match="motion: expected"):
-        model.score(*(context[name] for name in model.context_for_score[:-1]))
+    published, model = WoteConfig(), tiny_wote(replace(TINY, footprint=()))
+    assert not any((published.ground_sight, published.encounters, published.driven))
+    context = model.encode(**sensors())
+    assert "bev_fine" not in context
+    assert model.context_for_score == ("bev_tokens", "ego")
+    assert model.score(context["bev_tokens"], context["ego"])["scores"].shape == (2, 12)
+    added = ("footprint", "ground", "sweeps", "far", "met.")
+    assert not [name for name in model.state_dict() if any(part in name for part in added)]
 
 
 @pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"dt": 0.4}, r"dt: expected a multiple of 0.25 for encounters, got 0.4"),
-        ({"footprint": ()}, "ground_sight: expected false without a footprint, got True"),
-        ({"backbone": replace(BACKBONE, lidar_before=False)}, "encounters: expected none without"),
-        (
-            {"footprint": (), "encounters": (), "driven": True},
-            "driven: expected false without footprint or encounters, got True",
-        ),
-        (
-            {"backbone": replace(BACKBONE, lidar_size=96)},
-            "backbone: expected a BEV of 8 n cells a side for ground_sight, got 12",
-        ),
-    ],
+    ("config", "missing"),
+    [(TINY, "fine"), (AHEAD, "foretold"), (replace(AHEAD, driven=True), "motion")],
 )
-def test_a_wrong_field_is_named(wrong: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(AHEAD, **wrong)
+@torch.inference_mode()
+def test_a_missing_context_is_named(config: WoteConfig, missing: str) -> None:
+    model = planner(config)
+    context = model.encode(**sensors(config, B=1))
+    with pytest.raises(ValueError, match=f"{missing}: expected"):
+        model.score(*(context[name] for name in model.context_for_score[:-1]))
 
 
 def test_the_small_one_has_all() -> None:
@@ -193,3 +160,15 @@ def test_the_small_one_has_all() -> None:
     assert WOTE.encounters[:5] == WOTE.footprint
     assert WOTE.foretold_times[-1] == 5.0
     assert WOTE.driven
+
+
+def places_of(x: float, y: float, heading: float) -> list[list[float]]:
+    """Places of the car of one pose: its middle, and 3 m ahead and 1 m to its left."""
+    return placed(torch.tensor([x, y, heading]), torch.tensor([(0.0, 0.0), (3.0, 1.0)])).tolist()
+
+
+def test_places_turn_with_the_car() -> None:
+    assert places_of(10.0, 2.0, 0.0) == [[10.0, 2.0], [13.0, 3.0]]
+    (x, y) = places_of(10.0, 2.0, math.pi / 2)[1]
+    assert math.isclose(x, 9.0, abs_tol=1e-5)
+    assert math.isclose(y, 5.0, abs_tol=1e-5)

@@ -30,9 +30,9 @@ def test_every_input_has_the_shape_that_its_name_stands_for(
     (scene,) = scenes(small_request(), tiny)
     inputs = scene.inputs(SCENE_INPUTS)
     assert {name: array.shape for name, array in inputs.items()} == {
-        "cost_map": (1, 3, 16, 16),
+        "cost_map": (1, 3, 64, 64),
         "map_geometry": (1, 3),
-        "clearance_field": (1, 16, 16),
+        "clearance_field": (1, 64, 64),
         "x_curr": (1, 6),
         "x_goal": (1, 4),
         "w_style": (1, 3),
@@ -40,7 +40,7 @@ def test_every_input_has_the_shape_that_its_name_stands_for(
         "route_states": (1, 2, 8, 7),
     }
     assert all(array.dtype == np.float32 for array in inputs.values())
-    np.testing.assert_array_equal(inputs["map_geometry"], [[-4.0, -4.0, 0.5]])
+    np.testing.assert_array_equal(inputs["map_geometry"], [[-4.0, -4.0, 0.125]])
     np.testing.assert_allclose(inputs["w_style"], [[0.4, 0.3, 0.3]])
     np.testing.assert_array_equal(inputs["limits"], [[2.0, 3.0, 0.25, 7.0]])
 
@@ -120,33 +120,23 @@ def test_a_scene_has_every_channel_with_its_weight(tiny: Bundle, small_request: 
 
     (scene,) = scenes(small_request(cost_map=cost_map, cost_penalty=0.0), tiny)
 
-    assert scene.scene.cost_map.shape == data.shape
+    assert scene.scene.cost_map.shape == (16, 64, 64)  # its cells of 0.5 m are cut
     assert (scene.scene.cost_map[15] == 0.5).all()
     assert scene.scene.channel_weights is not None
     assert scene.scene.channel_weights.tolist() == [2.0] * 15
     assert scene.scene.cost_penalty == 0.0
 
 
-def test_a_scene_holds_no_denormal_numbers(tiny: Bundle, small_request: Build) -> None:
+def test_denormal_numbers_are_no_soft_cost(tiny: Bundle, small_request: Build) -> None:
     """Case V2: a map of 1e-40, with which a request took 1.3 times as long."""
     data = np.full((3, 16, 16), 1e-40, np.float32)
-    data[0, 3, 3], data[2, 5, 5] = 1.0, 1e-5
+    data[0, 3, 3], data[1], data[2, 5, 5] = 1.0, 1.0, 1e-5
 
     (scene,) = scenes(small_request(cost_map={"data": data, "resolution": 0.5}), tiny)
 
-    layers = scene.scene.cost_map
-    assert (layers[0, 3, 3], layers[2, 5, 5]) == (1.0, np.float32(1e-5))
-    assert np.count_nonzero(layers) == 2
-
-
-def test_weights_are_filled_up_like_channels(tiny: Bundle, small_request: Build) -> None:
-    cost_map = {"data": np.zeros((2, 16, 16)), "resolution": 0.5, "channel_weights": [0.5]}
-
-    (scene,) = scenes(small_request(cost_map=cost_map), tiny)
-
-    assert scene.scene.channel_weights is not None
-    assert scene.scene.channel_weights.tolist() == [0.5, 1.0]
-    assert scene.scene.cost_penalty == 3.0
+    assert scene.scene.surcharge is not None
+    assert np.count_nonzero(scene.scene.surcharge) == 16  # the parts of one cell
+    assert np.count_nonzero(scene.scene.network_map[[0, 2]]) == 2 * 16
 
 
 def test_each_scene_of_a_batch_sees_its_own_map_and_state(
@@ -157,5 +147,7 @@ def test_each_scene_of_a_batch_sees_its_own_map_and_state(
     x_curr = [[-3.0, 0.1, 0.0, 0.0, 0.0, 0.0], [-2.0, 0.1, 0.0, 0.0, 0.0, 0.0]]
     request = small_request(cost_map={"data": maps, "resolution": 0.5}, x_curr=x_curr)
     first, second = scenes(request, tiny)
-    assert (first.scene.cost_map[0].sum(), second.scene.cost_map[0].sum()) == (0.0, 1.0)
+    assert not first.scene.occupied.any()
+    rows, columns = np.nonzero(second.scene.occupied)
+    assert {*rows.tolist()} == {*columns.tolist()} == {12, 13, 14, 15}
     assert (first.scene.x_curr[0], second.scene.x_curr[0]) == (-3.0, -2.0)

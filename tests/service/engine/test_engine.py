@@ -85,7 +85,6 @@ def test_a_wider_robot_has_less_clearance(engine: Engine, small_request: Build) 
     [
         ({"v_max": 1.0}, "v_max"),
         ({"x_curr": [-3.0, 0.1] + [0.0] * 7, "x_goal": [3.0, 0.2] + [0.0] * 4}, "x_curr"),
-        ({"cost_map": {"data": np.zeros((4, 16, 16)), "resolution": 0.5}}, "cost_map.data"),
         ({"warm_start": {"trajectory": np.zeros((8, 5)), "tau": 0.5}}, "warm_start.trajectory"),
     ],
 )

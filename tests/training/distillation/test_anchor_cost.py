@@ -40,7 +40,7 @@ def risky(scene: Scene) -> Scene:
     height, width = cost_map.shape[1:]
     cost_map[1] = np.linspace(0.2, 1.0, width)
     cost_map[2] = np.linspace(0.0, 0.7, height)[:, None]
-    return replace(scene, cost_map=cost_map)
+    return replace(scene, cost_map=cost_map, cost_penalty=8.0)
 
 
 def disturbed(scenes: list[Scene], count: int = 8) -> np.ndarray:

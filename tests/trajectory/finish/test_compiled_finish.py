@@ -39,11 +39,12 @@ def plain_cost(problem: TrajectoryCost, splines: Splines) -> Found:
     place, on_p = plain_ground(problem, p, safety * w.safety)
     fast, fast_gained, on_first = plain_excess(first, pace / limits.v_max, w.speed, w)
     hard, hard_gained, on_second = plain_excess(second, pace**2 / limits.a_max, w.acceleration, w)
+    dear, dear_on_p, dear_on_first = plain_dear_ground(problem, p, first, w.dear * by_way)
     speeds, jerk = (first**2).sum(0), jerky * (third**2).sum(0)
-    on_first = on_first + 2 * (slow + short) * first
-    slope = np.concatenate([on_p, on_first, on_second, 2 * jerky * third], axis=-1)
+    on_first = on_first + 2 * (slow + short) * first + dear_on_first
+    slope = np.concatenate([on_p + dear_on_p, on_first, on_second, 2 * jerky * third], axis=-1)
     later = (w.time + w.quick * energy[..., 0]) * splines.duration / problem.reference_s
-    cost = (place + (slow + short) * speeds + fast + hard + jerk).mean(-1) + later
+    cost = (place + dear + (slow + short) * speeds + fast + hard + jerk).mean(-1) + later
     gained = -2 * slow * speeds - 6 * jerk - fast_gained - 2 * hard_gained
     return cost, slope @ basis.stacked.T / p.shape[-1], later + gained.mean(-1)
 
@@ -60,14 +61,20 @@ def plain_ground(
     cost = w.collision * deep * (2 * hard - deep) + safety * lack**2
     rate = -2 * (w.collision * deep + safety / w.comfort * lack)
     slope[0], slope[1] = rate * along_x, rate * along_y
-    if problem.fields.soft is not None:
-        soft, soft_x, soft_y = problem.fields.soft.sample_with_gradient(p[0], p[1])
-        cost, slope[0], slope[1] = (
-            cost + safety * soft,
-            slope[0] + safety * soft_x,
-            slope[1] + safety * soft_y,
-        )
     return cost, slope
+
+
+def plain_dear_ground(
+    problem: TrajectoryCost, p: np.ndarray, first: np.ndarray, gain: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Cost [M, T] of dear ground, and its derivatives by samples and by p' [D, M, T]."""
+    on_p, on_first, size = np.zeros_like(p), np.zeros_like(p), np.hypot(*first[:2]) + 1e-9
+    if problem.fields.surcharge is None:
+        return np.zeros(size.shape), on_p, on_first
+    surcharge, *slopes = problem.fields.surcharge.sample_with_gradient(p[0], p[1])
+    on_p[:2] = [gain * size * slope for slope in slopes]
+    on_first[:2] = gain * (1 + surcharge) * first[:2] / size
+    return gain * (1 + surcharge) * size, on_p, on_first
 
 
 def plain_excess(samples: np.ndarray, scale: np.ndarray, gain: float, w: CostWeights) -> Found:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -33,11 +33,15 @@ ORIGIN = np.array([-3.2, -3.2])
 
 @dataclass(frozen=True)
 class World:
-    """Cells of 0.1 m centred on (0, 0), to be crossed from left to right."""
+    """Cells of 0.1 m centred on (0, 0), to be crossed from left to right.
+
+    surcharge: [64, 64] of ground that is dear but passable
+    """
 
     occupied: np.ndarray
     start: np.ndarray
     goal: np.ndarray
+    surcharge: np.ndarray | None = None
 
     @property
     def clearance(self) -> np.ndarray:
@@ -50,11 +54,25 @@ class World:
             origin=ORIGIN,
             start=self.start,
             goal=self.goal,
+            surcharge=self.surcharge,
             **limits,  # pyright: ignore[reportArgumentType]
         )
 
     def tight(self, **limits: float) -> list[Route]:
-        return pulled_tight(self.routes(**limits), self.clearance, resolution=CELL, origin=ORIGIN)
+        return pulled_tight(
+            self.routes(**limits),
+            self.clearance,
+            resolution=CELL,
+            origin=ORIGIN,
+            surcharge=self.surcharge,
+        )
+
+    def dear(self, surcharge: float, *patches: tuple[slice, slice]) -> World:
+        """The same world with patches of this surcharge."""
+        ground = np.zeros((64, 64), np.float32)
+        for patch in patches:
+            ground[patch] = surcharge
+        return replace(self, surcharge=ground)
 
 
 def world(*blocks: tuple[slice, slice]) -> World:
@@ -140,6 +158,37 @@ def test_a_step_between_two_corners_is_not_taken() -> None:
     assert find_routes(clearance, resolution=1.0, origin=np.zeros(2), **ends) == []  # pyright: ignore[reportArgumentType]
 
 
+def test_a_dear_patch_has_a_route_on_either_side_and_no_loops() -> None:
+    above, below = world().dear(3.0, box(33, 32, 15)).tight()
+
+    assert {above.signature, below.signature} == {(0,), (1,)}
+    assert above.charge == below.charge == 0.0
+    # Round a square of 0.75 m half a side, whose middle is 0.1 m above the way.
+    lengths = [1.5 + 2 * np.hypot(1.8, end) for end in (0.6, 0.8)]
+    assert [above.length, below.length] == pytest.approx(lengths, abs=1.5 * CELL)
+    assert len(world().dear(12.0, box(32, 32, 5)).routes(stretch=2.0)) == 2
+
+
+def test_a_band_that_cannot_be_gone_round_is_crossed_where_it_is_narrow() -> None:
+    wide, narrow = (slice(0, 64), slice(28, 36)), (slice(40, 44), slice(28, 36))
+    case = world().dear(9.0, wide)
+    assert case.surcharge is not None
+    case.surcharge[narrow] = 1.0
+
+    (route,) = case.tight(most=1)
+
+    assert route.charge == pytest.approx(0.8, abs=CELL)
+    assert route.cost < world().routes()[0].length + 0.8 * 9.0
+    crossing = np.interp([0.0], *route.points.T)
+    assert 0.8 < crossing[0] < 1.2
+
+
+def test_a_wide_detour_is_not_worth_a_little_dear_ground() -> None:
+    (route,) = world().dear(0.4, box(32, 32, 31)).routes()
+    assert route.length == pytest.approx(5.1)
+    assert route.charge == pytest.approx(0.4 * 3.1, rel=0.05)
+
+
 def test_limits_are_kept() -> None:
     case = world(box(24, 32), box(40, 32))
     every = case.routes(stretch=1.5)
@@ -198,18 +247,30 @@ def test_every_route_is_free_and_no_two_are_alike(case: World) -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(worlds())
-def test_the_shortest_route_is_as_long_as_scipy_finds_it(case: World) -> None:
+def test_the_cheapest_route_costs_what_scipy_finds(case: World) -> None:
+    case = case.dear(2.5, (slice(10, 40), slice(20, 30)), (slice(30, 60), slice(28, 50)))
+    assert case.surcharge is not None
     ends = [32 * 64 + 6, 32 * 64 + 57]
     steps = free_steps(free_cells(case.clearance, ends, slack=SLACK))
     cells, places = np.nonzero(steps[:, None] >> np.arange(8) & 1)
-    heads = cells + STEPS[places] @ (64, 1)
-    graph = csr_array((LENGTHS[places], (cells, heads)), shape=(64 * 64, 64 * 64))
-    length = float(dijkstra(graph, indices=ends[0])[ends[1]])
+    heads = (cells + STEPS[places] @ (64, 1)).astype(int)
+    surcharge = case.surcharge.ravel()
+    mean = 0.5 * (surcharge[cells] + surcharge[heads])
+    even, dear = (
+        csr_array((weights, (cells, heads)), shape=(64 * 64, 64 * 64))
+        for weights in (LENGTHS[places], LENGTHS[places] * (1.0 + mean))
+    )
+    length, cost = (float(dijkstra(graph, indices=ends[0])[ends[1]]) for graph in (even, dear))
 
-    found = case.routes(most=1)
+    found = replace(case, surcharge=None).routes(most=1)
     assert [route.length for route in found] == pytest.approx(
         [CELL * length] if np.isfinite(length) else [], rel=1e-12
     )
+    # Half a step at the border of a patch is looked up on one side of it or the other.
+    cheapest = [route.cost for route in case.routes(most=1)]
+    assert cheapest == pytest.approx([CELL * cost] if np.isfinite(cost) else [], abs=2.5 * CELL)
+    for loose, tight in zip(case.routes(), case.tight(), strict=True):
+        assert tight.cost <= loose.cost + 1e-9
 
 
 def test_threads_find_the_same_routes() -> None:

@@ -26,7 +26,7 @@ from anchorflow_training.dataset import (
 )
 from anchorflow_trajectory.finish.certificate import path_clearance
 from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.scene import Scene, with_neutral_channels
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import GOAL_POINTS, START_POINTS, SplineBasis, spline_basis
 from anchorflow_trajectory.warm_start import nearest_route
 
@@ -89,7 +89,7 @@ def imported_scene(source: SceneSource) -> Row | str:
         given, origin = arrays["cost_maps"], np.array(corner)
     style = np.asarray(arrays.get("style_weights", STYLE))
     scene = Scene(
-        cost_map=with_neutral_channels(given, CHANNELS),
+        cost_map=given,
         resolution=resolution,
         origin=origin,
         robot_radius=options.robot_radius,

@@ -14,10 +14,10 @@ from torch import Tensor, nn
 from anchorflow_models import L2Config
 from anchorflow_models.layers.clearance_map import ClearanceMap
 from anchorflow_models.layers.geometry import in_float32
-from anchorflow_trajectory.cost.fields import RISK, TRAVERSABILITY
 from anchorflow_trajectory.cost.kernels import DEEP
-from anchorflow_trajectory.cost.trajectory_cost import CostWeights
+from anchorflow_trajectory.cost.trajectory_cost import STEEP, CostWeights
 from anchorflow_trajectory.motion import TURN
+from anchorflow_trajectory.scene import COST_PENALTY, RISK
 from anchorflow_trajectory.spline.basis import END_ORDERS
 
 WEIGHTS = CostWeights()  # the expert's
@@ -82,38 +82,42 @@ class AnchorCost(nn.Module):
         by_way = 1.0 / (v_max * reference_s[..., None])
         slow_gain, short_gain = safety * w.slow * by_speed**2, energy * w.short * by_way**2
 
-        cost = self._place(position.movedim(-2, -1), safety * w.safety, inputs)
+        places, surcharge = position.movedim(-2, -1), surcharge_of(inputs["cost_map"])
+        steep = (surcharge.amax((1, 2)) / STEEP).clamp(min=1.0)[:, None, None]
+        cost = self._near_obstacles(places, w.collision * steep, safety * w.safety, inputs)
+        way = (_squared(first[:, :, :2]) + LEAST_SQUARE).sqrt() * by_way
+        cost = cost + w.dear * way * _price(places, surcharge, inputs["map_geometry"])
         cost = cost + (slow_gain + short_gain) * _squared(first)
         cost = cost + smooth * w.smooth * (pace**3 / jerk_scale) ** 2 * _squared(third)
         hinges = ((first, by_speed, w.speed), (second, by_acceleration, w.acceleration))
         for vectors, share, gain in hinges:
             size = (_squared(vectors[:, :, :2]) + LEAST_SQUARE).sqrt() * share
-            cost = cost + gain * (size - w.limit_share).clamp(min=0).square()
+            cost = cost + gain * steep * (size - w.limit_share).clamp(min=0).square()
         later = (w.time + w.quick * energy[..., 0]) * duration / reference_s
         return cost.mean(-1) + later
 
-    def _place(self, points: Tensor, safety: Tensor, inputs: Mapping[str, Tensor]) -> Tensor:
-        """Cost [B, N, T] of where points [B, N, T, D] lie."""
+    def _near_obstacles(
+        self, points: Tensor, collision: Tensor, safety: Tensor, inputs: Mapping[str, Tensor]
+    ) -> Tensor:
+        """Cost [B, N, T] of how near obstacles points [B, N, T, D] lie."""
         w, geometry = WEIGHTS, inputs["map_geometry"]
         clearance = ClearanceMap(inputs["clearance_field"], geometry)(points)
         hard = (self.margin - clearance).clamp(min=0)
         lack = (1.0 - clearance / w.comfort).clamp(min=0)
         deep = hard.clamp(max=DEEP)
-        soft = soft_cost(inputs["cost_map"])
-        # Off the map a field falls; there is none to fall where no ground costs anything.
-        any_soft = soft.flatten(1).any(1)[:, None, None]
-        lies_on = torch.where(any_soft, ClearanceMap(soft, geometry)(points), 0.0)
-        return w.collision * deep * (2.0 * hard - deep) + safety * (lack.square() + lies_on)
+        return collision * deep * (2.0 * hard - deep) + safety * lack.square()
 
 
-def soft_cost(cost_map: Tensor) -> Tensor:
-    """[B, H, W] in [0, 1] of maps [B, C, H, W]: risky or hard to pass, whichever is worse."""
-    soft = torch.zeros_like(cost_map[:, 0])
-    if cost_map.shape[1] > TRAVERSABILITY:
-        soft = torch.maximum(soft, 1.0 - cost_map[:, TRAVERSABILITY])
-    if cost_map.shape[1] > RISK:
-        soft = torch.maximum(soft, cost_map[:, RISK])
-    return soft
+def _price(points: Tensor, surcharge: Tensor, geometry: Tensor) -> Tensor:
+    """1 + surcharge [B, N, T] where points [B, N, T, D] lie; 0 on maps [B, H, W] without any."""
+    is_dear = surcharge.flatten(1).any(1)[:, None, None]
+    return torch.where(is_dear, 1.0 + ClearanceMap(surcharge, geometry)(points), 0.0)
+
+
+def surcharge_of(cost_map: Tensor) -> Tensor:
+    """Return the surcharge [B, H, W] that networks' maps [B, C, H, W] tell: `Scene.network_map`."""
+    risk = cost_map[:, RISK]
+    return COST_PENALTY * risk / (1.0 - risk)
 
 
 def _squared(vectors: Tensor) -> Tensor:

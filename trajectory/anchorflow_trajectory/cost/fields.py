@@ -11,35 +11,42 @@ from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
-from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.cost.clearance import OCCUPIED, GridField
 
-TRAVERSABILITY, RISK = 1, 2  # channels of a cost map; 0 is occupancy
+OCCUPANCY, TRAVERSABILITY = 0, 1  # channels of a cost map; 2 is risk, and more may follow
+FAINT = 1e-6  # of a soft cost, below which it is none: denormal numbers are slow
 
 
 @dataclass(frozen=True)
 class CostFields:
-    """clearance: m beyond the robot's radius; soft: cost in [0, 1] of free ground, if any."""
+    """The maps of one scene.
+
+    clearance: m beyond the robot's radius
+    surcharge: m of detour that a metre of way through a place is worth, if any is
+    """
 
     clearance: GridField
-    soft: GridField | None = None
-
-    @staticmethod
-    def of(
-        cost_map: FloatArray, clearance: FloatArray, resolution: float, origin: FloatArray
-    ) -> CostFields:
-        """Make the fields of a cost map [C, H, W] in [0, 1] with known clearance [H, W]."""
-        field, soft = GridField(clearance, resolution, origin), soft_cost(cost_map)
-        return CostFields(field, GridField(soft, resolution, origin) if soft.any() else None)
+    surcharge: GridField | None = None
 
 
-def soft_cost(cost_map: FloatArray) -> FloatArray:
-    """[H, W] in [0, 1] of a map [C, H, W]: risky or hard to pass, whichever is worse."""
-    soft = np.zeros(cost_map.shape[1:], np.float32)
-    if len(cost_map) > TRAVERSABILITY:
-        soft = np.maximum(soft, 1.0 - cost_map[TRAVERSABILITY])
-    if len(cost_map) > RISK:
-        soft = np.maximum(soft, cost_map[RISK])
-    return soft
+def soft_cost(cost_map: FloatArray, weights: FloatArray | None = None) -> NDArray[np.float32]:
+    """Return c [H, W] in [0, 1], the soft cost of a map [C, H, W].
+
+    It is the largest of occupancy below that of an obstacle, scaled to [0, 1], of 1 less
+    traversability, and of risk and each further channel, these [C - 1] times their weights.
+    """
+    occupancy = cost_map[OCCUPANCY]
+    soft = np.zeros(occupancy.shape, np.float32)
+    passable = (occupancy >= FAINT) & (occupancy < OCCUPIED)
+    np.divide(occupancy, OCCUPIED, out=soft, where=passable, casting="same_kind")
+    for channel in range(TRAVERSABILITY, len(cost_map)):
+        layer = cost_map[channel]
+        if channel == TRAVERSABILITY:
+            layer = 1.0 - layer
+        weight = 1.0 if weights is None else weights[channel - 1]
+        np.maximum(soft, layer if weight == 1.0 else weight * layer, out=soft)
+    soft[soft < FAINT] = 0.0
+    return np.minimum(soft, 1.0, out=soft)
 
 
 class Grid(NamedTuple):

@@ -35,6 +35,7 @@ class Gains(NamedTuple):
     quick: np.floating
     short: np.floating
     smooth: np.floating
+    dear: np.floating
     collision: np.floating
     speed: np.floating
     acceleration: np.floating
@@ -52,7 +53,7 @@ class Problem(NamedTuple):
 
     band: Band
     clearance: Grid
-    soft: Grid
+    surcharge: Grid
     gains: Gains
 
 
@@ -126,10 +127,10 @@ def cost_of_lanes(
         for m in range(lanes):
             x, y = samples[0, 0, m], samples[0, 1, m]
             ground[0, 0, m], ground[0, 1, m], ground[0, 2, m] = look_up(problem.clearance, x, y)
-            if problem.soft.values.size > 0:
-                ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.soft, x, y)
+            if problem.surcharge.values.size > 0:
+                ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
-        _charge_motion(gains, pace, gain, lanes, squares, hinges, samples)
+        _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
         if is_sloped:
             gather_slopes(samples, lanes, band, t, slope)
     share = real(1.0) / real(steps)
@@ -155,9 +156,9 @@ def _charge_ground(
     hinges: FloatArray,
     samples: FloatArray,
 ) -> None:
-    """Add the cost of where the samples lie; their places become its derivatives.
+    """Add the cost of how near obstacles the samples lie; their places become its derivatives.
 
-    ground: [2, 3, LANES], value and slopes of clearance and of soft cost
+    ground: [2, 3, LANES], value and slopes of clearance and of the surcharge
     """
     real = samples.dtype.type
     for m in range(lanes):
@@ -167,9 +168,9 @@ def _charge_ground(
         safety = style[0, m] * gains.safety
         rate = -real(2.0) * (gains.collision * deep + safety / gains.comfort * lack)
         cost = gains.collision * deep * (hard + hard - deep)
-        hinges[0, m] += cost + safety * (lack * lack + ground[1, 0, m])
-        samples[0, 0, m] = rate * ground[0, 1, m] + safety * ground[1, 1, m]
-        samples[0, 1, m] = rate * ground[0, 2, m] + safety * ground[1, 2, m]
+        hinges[0, m] += cost + safety * lack * lack
+        samples[0, 0, m] = rate * ground[0, 1, m]
+        samples[0, 1, m] = rate * ground[0, 2, m]
     for d in range(2, samples.shape[1]):
         for m in range(lanes):
             samples[0, d, m] = real(0.0)
@@ -180,12 +181,17 @@ def _charge_motion(
     gains: Gains,
     pace: FloatArray,
     gain: FloatArray,
+    by_way: float,
+    ground: FloatArray,
     lanes: int,
     squares: FloatArray,
     hinges: FloatArray,
     samples: FloatArray,
 ) -> None:
-    """Add squares of p' and p''' and excess over limits; samples become derivatives."""
+    """Add squares of p' and p''', excess over limits and dear ways; samples become derivatives.
+
+    by_way: one over the reference way; ground: as for `_charge_ground`
+    """
     dim, real, two = samples.shape[1], samples.dtype.type, samples.dtype.type(2.0)
     for d in range(dim):
         for m in range(lanes):
@@ -207,6 +213,11 @@ def _charge_motion(
             hinges[1, m] += real(order) * two * weight * excess * size * scale
             pull = two * weight * excess * scale / size
             if order == 1:
-                pull += two * gain[0, m]
+                dear = gains.dear * by_way
+                rise = dear * (real(1.0) + ground[1, 0, m])
+                hinges[0, m] += rise * size
+                pull += two * gain[0, m] + rise / size
+                samples[0, 0, m] += dear * size * ground[1, 1, m]
+                samples[0, 1, m] += dear * size * ground[1, 2, m]
             samples[order, 0, m] = x * pull
             samples[order, 1, m] = y * pull

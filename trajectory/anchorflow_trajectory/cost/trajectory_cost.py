@@ -1,13 +1,15 @@
 """The cost of a trajectory: hard limits, and the three styles that a caller weighs.
 
-    J = B + u_safety S + u_energy E + u_smooth M + H
+    J = B + u_safety S + u_energy E + u_smooth M + D + H
 
     B  duration over the scene's reference time: trajectories stay finite in every style
-    S  mean squared shortfall of clearance from a comfortable distance, soft map costs, and mean
-       squared speed: far from obstacles and slow
+    S  mean squared shortfall of clearance from a comfortable distance, and mean squared speed: far
+       from obstacles and slow
     E  duration over the reference time, and mean squared p' over the square of the way that v_max
        covers in it: quick and short
     M  mean squared jerk over a reference jerk^2
+    D  the integral of 1 + surcharge along the path, over the way that v_max covers in the
+       reference time: dear ground, in every style alike; nothing on a map without surcharge
     H  hinges on clearance, speed and acceleration just inside their limits
     u  the requested weights, raised to a power and normalised: the corners and the middle of the
        triangle stay, and points between lean clearly to one side
@@ -32,6 +34,10 @@ from anchorflow_trajectory.cost.kernels import Gains, Problem, cost_of_splines
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 
+STEEP = 4.0
+"""Surcharge beyond which obstacles and limits weigh more, so that dear ground pushes nobody into
+them."""
+
 
 @dataclass(frozen=True)
 class CostWeights:
@@ -43,6 +49,7 @@ class CostWeights:
     quick: float = 8.0
     short: float = 4.0
     smooth: float = 1.0
+    dear: float = 12.0
     collision: float = 400.0
     speed: float = 240.0
     acceleration: float = 540.0
@@ -112,13 +119,16 @@ class TrajectoryCost:
 
     def problem(self, dtype: DTypeLike) -> Problem:
         """Return the cost for compiled loops, in numbers of a dtype."""
-        w, limits = self.weights, self.limits
-        gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, w.collision, w.speed)
+        w, limits, dear = self.weights, self.limits, 0.0
+        if self.fields.surcharge is not None:
+            dear, dearest = w.dear, float(self.fields.surcharge.values.max())
+            w = w.stiffer(max(1.0, dearest / STEEP))
+        gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, dear, w.collision, w.speed)
         gains += (w.acceleration, w.comfort, w.limit_share, self.margin)
         gains += (limits.v_max, limits.a_max, limits.jerk_scale, self.reference_s)
         return Problem(
             self.basis.band(dtype),
             Grid.of(self.fields.clearance, dtype),
-            Grid.of(self.fields.soft, dtype),
+            Grid.of(self.fields.surcharge, dtype),
             Gains(*np.array(gains, dtype)),
         )

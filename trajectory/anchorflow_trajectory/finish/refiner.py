@@ -156,7 +156,12 @@ class Refiner:
         if spec.certified_margin > 0.0:
             margin = max(margin, spec.certified_margin + AIM_BEYOND)
         return TrajectoryCost(
-            scene.basis, scene.cost_fields, scene.motion, scene.w_style, scene.reference_s, margin
+            scene.basis,
+            scene.cost_fields,
+            scene.motion,
+            scene.effective_style,
+            scene.reference_s,
+            margin,
         )
 
     def fitted(self, states: FloatArray) -> Splines:

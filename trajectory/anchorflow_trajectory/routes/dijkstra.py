@@ -1,9 +1,10 @@
-"""Shortest ways over the cells of a grid: Dijkstra's algorithm with a queue of lists.
+"""Cheapest ways over the cells of a grid: Dijkstra's algorithm with a queue of lists.
 
-Lengths are in cells. No step is shorter than one, so the queue has a list for each whole length,
-and the cells of a list are final when its turn comes (Dial, "Shortest-path forest with topological
-ordering", Communications of the ACM 12, 1969; Denardo & Fox, "Shortest-route methods",
-Operations Research 27, 1979). Among ways of equal length the first found stays.
+A step costs its length in cells times one plus the mean surcharge of its two cells; on ground
+without surcharge, costs are lengths. No step costs less than one, so the queue has a list for each
+whole cost, and the cells of a list are final when its turn comes (Dial, "Shortest-path forest with
+topological ordering", Communications of the ACM 12, 1969; Denardo & Fox, "Shortest-route methods",
+Operations Research 27, 1979). Among ways of equal cost the first found stays.
 
 A search runs in a sheet, whose ways may come out of other sheets. A link says how a cell was
 reached: eight times the sheet that the step left, plus the step's place in STEPS.
@@ -27,7 +28,6 @@ Keys = NDArray[np.uint64]
 
 ROUNDING = 1e-6  # cells by which two sums of the same steps may differ
 NO_LINK = -1
-LISTS = 3  # a step leads one or two lists on
 
 # (rows, columns) of a step to each of the eight neighbours, and its length in cells. The reverse
 # step has the mirrored index.
@@ -66,36 +66,47 @@ def free_steps(free: BoolArray) -> Steps:
 
 
 class Ground(NamedTuple):
-    """The steps of a search, and the bounds that prune it.
+    """The steps of a search, what they cost, and the bounds that prune it.
 
     steps: [H * W] of each cell; offsets: [8] of the flat cells that they lead to
+    surcharge: [H * W] >= 0, cells of detour that one cell of way through a cell is worth
     rest: [H * W] lower bound of the way to the end; limit: of a whole way
     """
 
     steps: Steps
     offsets: Cells
+    surcharge: Lengths
     rest: Lengths
     limit: float
 
 
+@compiled
+def step_cost(surcharge: Lengths, cell: int, head: int, step: int) -> float:
+    """Cost in cells of a step from a cell to its neighbour."""
+    return LENGTHS[step] * (1.0 + 0.5 * (surcharge[cell] + surcharge[head]))
+
+
 class Ways(NamedTuple):
-    """The shortest ways to each cell in S sheets: their lengths and last links, [S, H * W]."""
+    """The cheapest ways to each cell in S sheets: their costs and last links, [S, H * W]."""
 
     lengths: Lengths
     links: Links
 
 
 class Queue(NamedTuple):
-    """The cells that wait for their turn, the whole length of their way.
+    """The cells that wait, in a linked list for each whole cost that can be next.
 
-    lists: [LISTS, H * W], of the turns that are next; counts: [LISTS] of cells on them
-    turns: [H * W] when each cell has its turn, if it has one
-    reached: [H * W] those that had theirs, in this order
+    first, last: [L] the ends of each list, -1 if it is empty; L is a power of two
+    cells, after: [9 * H * W] the cell of an entry, and the next entry of its list
+    turns: [H * W] the whole cost at which each cell has its turn, if it waits
+    reached: [H * W] the cells that had their turn, in this order
     """
 
-    lists: NDArray[np.int32]
-    counts: Cells
-    turns: NDArray[np.int32]
+    first: Links
+    last: Links
+    cells: Links
+    after: Links
+    turns: Links
     reached: Cells
 
 
@@ -109,11 +120,16 @@ class Entries(NamedTuple):
 
 
 @compiled
-def new_queue(cells: int) -> Queue:
-    """Make an empty queue for a grid of `cells` cells."""
+def new_queue(surcharge: Lengths) -> Queue:
+    """Make an empty queue for a grid of cells with this surcharge [H * W]."""
+    cells, lists = len(surcharge), 1
+    while lists < LENGTHS.max() * (1.0 + surcharge.max()) + 2.0:
+        lists *= 2
     return Queue(
-        np.empty((LISTS, cells), np.int32),
-        np.zeros(LISTS, np.int64),
+        np.full(lists, -1, np.int32),
+        np.full(lists, -1, np.int32),
+        np.empty((len(STEPS) + 1) * cells, np.int32),
+        np.empty((len(STEPS) + 1) * cells, np.int32),
         np.empty(cells, np.int32),
         np.empty(cells, np.int64),
     )
@@ -131,36 +147,49 @@ def ways_from(cell: int, ground: Ground, queue: Queue) -> tuple[Ways, Cells]:
 def spread(entries: Entries, ground: Ground, queue: Queue, sheet: int, ways: Ways) -> Cells:
     """Search a sheet from its entries, and change its ways.
 
-    Returns the cells that are now reached in less, the nearest first but for parts of a cell.
+    Returns the cells that are now reached for less, the nearest first but for parts of a cell.
     """
-    steps, offsets, rest, limit = ground
-    lists, counts, turns, reached = queue
+    steps, offsets, surcharge, rest, limit = ground
+    first, last, cells, after, turns, reached = queue
     lengths, links = ways.lengths[sheet], ways.links[sheet]
     order = np.argsort(entries.lengths, kind="mergesort")
     turns[:] = -1
-    turn, entered, found = 0, 0, 0
-    while entered < len(order) or counts.any():
-        if not counts.any():
+    turn, entered, found, used, taken = 0, 0, 0, 0, 0
+    while entered < len(order) or taken < used:
+        if taken == used:
             turn = int(entries.lengths[order[entered]])
-        entered = _enter(entries, order, entered, turn, queue, lengths, links)
-        for place in range(counts[turn % LISTS]):
-            cell = lists[turn % LISTS, place]
+        entered, used = _enter(entries, order, entered, turn, queue, used, lengths, links)
+        place = turn & (len(first) - 1)
+        while first[place] >= 0:
+            cell = cells[first[place]]
+            first[place] = after[first[place]]
+            taken += 1
             if turns[cell] != turn:
                 continue
             reached[found] = cell
             found += 1
+            so_far, price = lengths[cell], 1.0 + 0.5 * surcharge[cell]
             for k in range(len(STEPS)):
                 if not (steps[cell] >> k) & 1:
                     continue
-                head, length = cell + offsets[k], lengths[cell] + LENGTHS[k]
+                head = cell + offsets[k]
+                length = so_far + LENGTHS[k] * (price + 0.5 * surcharge[head])
                 if length >= lengths[head] - ROUNDING or length + rest[head] > limit:
                     continue
                 lengths[head], links[head], later = length, len(STEPS) * sheet + k, int(length)
-                # Who stood on a later list has the turn of this one.
-                if turns[head] != later:
-                    turns[head], lists[later % LISTS, counts[later % LISTS]] = later, head
-                    counts[later % LISTS] += 1
-        counts[turn % LISTS] = 0
+                # Who stands on a later list has the turn of this one.
+                if turns[head] == later:
+                    continue
+                # Written out: a call with so many arrays would take longer.
+                turns[head], cells[used], after[used] = later, head, -1
+                end = last[later & (len(first) - 1)]
+                if end >= 0:
+                    after[end] = used
+                else:
+                    first[later & (len(first) - 1)] = used
+                last[later & (len(first) - 1)] = used
+                used += 1
+        last[place] = -1
         turn += 1
     return reached[:found].copy()
 
@@ -172,21 +201,32 @@ def _enter(
     entered: int,
     turn: int,
     queue: Queue,
+    used: int,
     lengths: Lengths,
     links: Links,
-) -> int:
-    """Put the entries that have this turn on its list; returns how many of all [E] had theirs."""
-    current = turn % LISTS
+) -> tuple[int, int]:
+    """Put the entries that have this turn on its list.
+
+    Returns how many of all [E] had theirs, and how many entries of the queue are used.
+    """
+    place = turn & (len(queue.first) - 1)
     while entered < len(order) and entries.lengths[order[entered]] < turn + 1:
         entry = order[entered]
         cell, length = entries.cells[entry], entries.lengths[entry]
         entered += 1
-        if length < lengths[cell] - ROUNDING:
-            lengths[cell], links[cell] = length, entries.links[entry]
-            if queue.turns[cell] != turn:
-                queue.turns[cell], queue.lists[current, queue.counts[current]] = turn, cell
-                queue.counts[current] += 1
-    return entered
+        if length >= lengths[cell] - ROUNDING:
+            continue
+        lengths[cell], links[cell] = length, entries.links[entry]
+        if queue.turns[cell] == turn:
+            continue
+        queue.turns[cell], queue.cells[used], queue.after[used] = turn, cell, -1
+        if queue.last[place] >= 0:
+            queue.after[queue.last[place]] = used
+        else:
+            queue.first[place] = used
+        queue.last[place] = used
+        used += 1
+    return entered, used
 
 
 @compiled

@@ -1,6 +1,7 @@
-"""The shortest routes of a scene, one for each way round its obstacles.
+"""The cheapest routes of a scene, one for each way round its obstacles and its dear patches.
 
-A route is the shortest path on the grid among those with its signature (`homotopy`).
+A route is the path on the grid that costs least among those with its signature (`homotopy`): the
+integral of 1 + surcharge along it, which on even ground is its length.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.routes.dijkstra import (
-    LENGTHS,
     ROUNDING,
     STEPS,
     Cells,
@@ -32,13 +32,15 @@ from anchorflow_trajectory.routes.dijkstra import (
     new_queue,
     only_entry,
     spread,
+    step_cost,
     walked_back,
     ways_from,
 )
-from anchorflow_trajectory.routes.homotopy import ObstacleRays, Signature
+from anchorflow_trajectory.routes.homotopy import ObstacleRays, Signature, in_cells
 
 MOST_ROUTES = 12
 STRETCH = 1.3
+LOOKS_A_CELL = 2.0  # points of a straight line at which a map is looked up
 SLACK = 0.02  # m beyond robot_radius that a route keeps, so that a spline along it can
 
 
@@ -49,11 +51,18 @@ class Route:
     points: [K, 2] m, in the map's frame, from the start to the goal
     length: m, of the polyline through them
     signature: crossings of the ray of each obstacle, as `ObstacleRays` orders them
+    charge: m, the integral of the surcharge along it
     """
 
     points: NDArray[np.float64]
     length: float
     signature: Signature
+    charge: float = 0.0
+
+    @property
+    def cost(self) -> float:
+        """m, the integral of 1 + surcharge."""
+        return self.length + self.charge
 
 
 def find_routes(
@@ -67,8 +76,9 @@ def find_routes(
     stretch: float = STRETCH,
     slack: float = SLACK,
     rays: ObstacleRays | None = None,
+    surcharge: FloatArray | None = None,
 ) -> list[Route]:
-    """The shortest routes on the grid with different signatures, the shortest first.
+    """The cheapest routes on the grid with different signatures, the cheapest first.
 
     Empty if no way is free.
 
@@ -80,9 +90,10 @@ def find_routes(
         start, goal: [2] m. Cells around them are free with less than `slack`, their own with any
             clearance, so that a robot close to an obstacle may leave.
         most: routes at most.
-        stretch: times the shortest that a route may be long.
+        stretch: times the cheapest that a route may cost.
         slack: m of clearance that routes keep.
         rays: of this clearance, if they are already known.
+        surcharge: [H, W] >= 0, m of detour that a metre through a cell is worth; none: 0.
 
     Raises:
         ValueError: `most` is below 1, `stretch` below 1 or `slack` negative.
@@ -94,23 +105,51 @@ def find_routes(
     height, width = clearance.shape
     ends = [cell_index(end, origin, resolution, (height, width)) for end in (start, goal)]
     free = free_cells(clearance, ends, slack=slack)
-    rays, routes = rays or ObstacleRays.of(clearance), []
+    rays, routes = rays or ObstacleRays.of(clearance, surcharge), []
     crossed, (first, last) = rays.keys_crossed().ravel(), ends
+    dear = np.zeros(clearance.shape) if surcharge is None else surcharge.astype(np.float64)
     cells, parts = search_routes(
-        free_steps(free), width, crossed, first, last, most, float(stretch)
+        free_steps(free), width, dear.ravel(), crossed, first, last, most, float(stretch)
     )
     at = (np.stack([cells % width, cells // width], -1) + 0.5) * resolution + origin
     for begin, end in pairwise(parts.tolist()):
         points = np.concatenate([[start], at[begin + 1 : end - 1], [goal]]).astype(np.float64)
         (signature,) = rays.signatures(points[None], resolution=resolution, origin=origin)
-        routes.append(Route(points, polyline_length(points), signature))
-    return sorted(routes, key=lambda route: route.length)
+        on_grid = in_cells(points, resolution, origin)
+        if not rays.is_simple(signature, on_grid[0], on_grid[-1]):
+            continue
+        length, charge = polyline_length(points), resolution * charge_along(on_grid, dear)
+        routes.append(Route(points, length, signature, charge))
+    return sorted(routes, key=lambda route: route.cost)
 
 
 def polyline_length(points: FloatArray) -> float:
     """m, through points [K, 2]."""
     legs = points[1:] - points[:-1]
     return float(np.sqrt((legs * legs).sum(1)).sum())
+
+
+@compiled
+def charge_along(points: FloatArray, surcharge: Lengths) -> float:
+    """The integral [cells] of the surcharge [H, W] along a polyline [K, 2] in cells."""
+    total = 0.0
+    for leg in range(len(points) - 1):
+        total += charge_of_leg(points[leg], points[leg + 1], surcharge)
+    return total
+
+
+@compiled
+def charge_of_leg(begin: FloatArray, end: FloatArray, surcharge: Lengths) -> float:
+    """The integral [cells] of the surcharge [H, W] along the straight line [2] to [2] in cells."""
+    height, width = surcharge.shape
+    across, up = end[0] - begin[0], end[1] - begin[1]
+    looks = int(LOOKS_A_CELL * max(abs(across), abs(up))) + 1
+    total = 0.0
+    for look in range(looks):
+        share = (look + 0.5) / looks
+        column, row = int(begin[0] + share * across), int(begin[1] + share * up)
+        total += surcharge[min(max(row, 0), height - 1), min(max(column, 0), width - 1)]
+    return total / looks * np.sqrt(across * across + up * up)
 
 
 def free_cells(clearance: FloatArray, ends: Sequence[int], *, slack: float) -> BoolArray:
@@ -138,31 +177,39 @@ class Cuts(NamedTuple):
 
 @compiled
 def search_routes(
-    steps: Steps, width: int, crossed: Keys, start: int, goal: int, most: int, stretch: float
+    steps: Steps,
+    width: int,
+    surcharge: Lengths,
+    crossed: Keys,
+    start: int,
+    goal: int,
+    most: int,
+    stretch: float,
 ) -> tuple[Cells, Cells]:
     """The cells [P] of all routes, one after the other, and where each begins and ends: [R + 1].
 
-    The shortest comes first. There is none where no way leads to the goal.
+    The cheapest comes first. There is none where no way leads to the goal.
 
     Args:
         steps: [H * W] between free cells (`free_steps`).
         width: W.
+        surcharge: [H * W] of each cell.
         crossed: [H * W] what a step from each cell to the right adds to a signature's key.
         start, goal: flat cells.
         most: routes at most.
-        stretch: times the shortest that a route may be long.
+        stretch: times the cheapest that a route may cost.
     """
-    offsets, queue = STEPS[:, 0] * width + STEPS[:, 1], new_queue(len(steps))
+    offsets, queue = STEPS[:, 0] * width + STEPS[:, 1], new_queue(surcharge)
     cells, ends, found = np.empty(0, np.int64), np.zeros(most + 1, np.int64), 0
-    everywhere = Ground(steps, offsets, np.zeros(len(steps)), np.inf)
+    everywhere = Ground(steps, offsets, surcharge, np.zeros(len(steps)), np.inf)
     from_start = ways_from(start, everywhere, queue)[0].lengths[0]
     limit = stretch * from_start[goal] + ROUNDING
     if not np.isfinite(limit):
         return cells, ends[:1]
     # If a cell's way is short enough, so are those of the cells between it and the goal.
-    to_goal, near = ways_from(goal, Ground(steps, offsets, from_start, limit), queue)
+    to_goal, near = ways_from(goal, Ground(steps, offsets, surcharge, from_start, limit), queue)
     inside, cuts = _cut(near, steps, offsets, to_goal.links[0], crossed)
-    ground = Ground(inside, offsets, to_goal.lengths[0], limit)
+    ground = Ground(inside, offsets, surcharge, to_goal.lengths[0], limit)
 
     pending, known = only_entry(start), np.empty(most, np.uint64)
     ways = Ways(np.empty((most, len(steps))), np.empty((most, len(steps)), np.int32))
@@ -239,7 +286,8 @@ def _left(
         for k in range(len(STEPS)):
             if not (cuts.steps[cell] >> k) & 1:
                 continue
-            head, length = cell + ground.offsets[k], lengths[sheet, cell] + LENGTHS[k]
+            head = cell + ground.offsets[k]
+            length = lengths[sheet, cell] + step_cost(ground.surcharge, cell, head, k)
             if length + ground.rest[head] > ground.limit:
                 continue
             change = _change(cuts.crossed, cell, head, k) + cuts.onward[head] - cuts.onward[cell]

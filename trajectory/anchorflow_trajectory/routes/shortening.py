@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.routes.homotopy import ObstacleRays, crossings, in_cells
-from anchorflow_trajectory.routes.search import Route, polyline_length
+from anchorflow_trajectory.routes.search import (
+    LOOKS_A_CELL,
+    Route,
+    charge_along,
+    charge_of_leg,
+    polyline_length,
+)
 
 Points = NDArray[np.float64]
 Cells = NDArray[np.int64]
@@ -19,7 +25,6 @@ Cells = NDArray[np.int64]
 CHORD_SLACK = 0.1
 STRIDE = 4  # cells at most between points of a straight piece that chords may end at
 SAME_LEG = 1e-6  # of a leg, by which the next may differ where the way does not turn
-LOOKS_A_CELL = 2.0  # points of a chord at which clearance is looked up
 
 
 def pulled_tight(
@@ -30,12 +35,13 @@ def pulled_tight(
     origin: FloatArray,
     slack: float = CHORD_SLACK,
     rays: ObstacleRays | None = None,
+    surcharge: FloatArray | None = None,
 ) -> list[Route]:
-    """The same routes along fewer points, no longer than before, the shortest first.
+    """The same routes along fewer points, no dearer than before, the cheapest first.
 
     A path of steps to eight neighbours is up to 8 % longer than the straight way. From each corner
     the path jumps to the furthest point whose chord is clear and passes the obstacles on the same
-    sides.
+    sides. With a surcharge it takes the chords that cost least in sum.
 
     Args:
         routes: as `find_routes` finds them on this map.
@@ -44,14 +50,21 @@ def pulled_tight(
         origin: [2] m, outer corner of cell (0, 0).
         slack: m of clearance that a chord keeps at every cell that it crosses.
         rays: of this clearance, if they are already known.
+        surcharge: [H, W], with which the routes were found.
     """
-    free, rays, tight = clearance >= slack, rays or ObstacleRays.of(clearance), []
+    free, rays, tight = clearance >= slack, rays or ObstacleRays.of(clearance, surcharge), []
+    dear = None if surcharge is None else surcharge.astype(np.float64)
     for route in routes:
-        cells = in_cells(route.points, resolution, origin)
-        kept = _kept(cells, _corners(route.points), free, rays.columns, rays.rows)
+        cells, corners = in_cells(route.points, resolution, origin), _corners(route.points)
+        if dear is None:
+            kept = _kept(cells, corners, free, rays.columns, rays.rows)
+        else:
+            kept = _cheapest(cells, corners, free, dear, rays.columns, rays.rows)
         points = route.points[kept]
-        tight.append(Route(points, polyline_length(points), route.signature))
-    return sorted(tight, key=lambda route: route.length)
+        length = polyline_length(points)
+        charge = 0.0 if dear is None else resolution * charge_along(cells[kept], dear)
+        tight.append(Route(points, length, route.signature, charge))
+    return sorted(tight, key=lambda route: route.cost)
 
 
 @compiled
@@ -100,6 +113,64 @@ def _kept(
         kept[count] = corners[at]
         count += 1
     return kept[:count]
+
+
+@compiled
+def _cheapest(
+    points: Points,
+    corners: Cells,
+    free: BoolArray,
+    surcharge: Points,
+    columns: Cells,
+    rows: Cells,
+) -> Cells:
+    """The corners between which chords cost least in sum, of a route's points [K, 2] in cells.
+
+    free: [H, W] cells that chords may cross; surcharge: [H, W] of them
+    columns, rows: of the obstacles' rays
+    """
+    count = len(corners)
+    crossed = np.zeros((count, len(columns)), np.int64)  # rays, by the way up to each corner
+    least, came = np.full(count, np.inf), np.zeros(count, np.int64)
+    least[0] = 0.0
+    for to in range(1, count):
+        part = points[corners[to - 1] : corners[to] + 1]
+        for k in range(len(columns)):
+            crossed[to, k] = crossed[to - 1, k] + crossings(part, columns[k], rows[k])
+        for at in range(to):
+            begin, end = points[corners[at]], points[corners[to]]
+            far = np.sqrt(((end - begin) ** 2).sum())
+            if least[at] + far >= least[to]:
+                continue
+            # The way itself is clear where a chord from corner to corner need not be.
+            if at < to - 1 and not _is_clear(
+                begin, end, free, int(LOOKS_A_CELL * np.abs(end - begin).max()) + 2
+            ):
+                continue
+            cost = least[at] + far + charge_of_leg(begin, end, surcharge)
+            if cost >= least[to] or not _same_crossings(
+                points, corners, at, to, crossed, columns, rows
+            ):
+                continue
+            least[to], came[to] = cost, at
+    kept, found, at = np.zeros(count, np.int64), 0, count - 1
+    while at:
+        kept[found] = corners[at]
+        found += 1
+        at = came[at]
+    return kept[: found + 1][::-1].copy()
+
+
+@compiled
+def _same_crossings(
+    points: Points, corners: Cells, at: int, to: int, crossed: Cells, columns: Cells, rows: Cells
+) -> bool:
+    """Whether the chord between two corners crosses every ray as often as the way [corners, K]."""
+    chord = np.stack((points[corners[at]], points[corners[to]]))
+    for k in range(len(columns)):
+        if crossings(chord, columns[k], rows[k]) != crossed[to, k] - crossed[at, k]:
+            return False
+    return True
 
 
 @compiled

@@ -22,15 +22,13 @@ from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
-from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, with_neutral_channels
+from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, finer_cells
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 REACH = 2.0
 """Way of the probe from start to goal, in s at v_max."""
 MARGIN = 2.0
 """Side of the probe's map, in such ways."""
-TINY = 1e-6
-"""What is less counts as 0: arithmetic on denormal numbers, below 1e-38, is slow."""
 DIGITS = 8
 """Decimal digits kept of a position in m that is far from zero."""
 
@@ -72,22 +70,22 @@ class CostMapConditioning:
         return [MapScene(near, scene, reference) for scene in scenes]
 
     def _scene(self, request: ResolvedRequest, index: int) -> Scene:
-        """Return a scene of a request, on a map of at least the model's channels."""
+        """Return a scene of a request."""
         cost_map, limits = request.cost_map, _limits(request)
-        layers = with_neutral_channels(cost_map.data[index], self._entry.channels)
-        layers *= layers >= TINY
+        cells, resolution = finer_cells(cost_map.data[index], cost_map.resolution)
         if request.clear_start:
+            cells = cells.copy()
             under = cells_under(
                 request.x_curr[index, :2],
                 limits.robot_radius,
-                resolution=cost_map.resolution,
+                resolution=resolution,
                 origin=cost_map.origin,
-                shape=layers.shape[1:],
+                shape=cells.shape[1:],
             )
-            layers[0, under] = 0.0
+            cells[0, under] = 0.0
         return Scene(
-            cost_map=layers,
-            resolution=cost_map.resolution,
+            cost_map=cells,
+            resolution=resolution,
             origin=cost_map.origin,
             robot_radius=limits.robot_radius,
             x_curr=request.x_curr[index],
@@ -97,7 +95,7 @@ class CostMapConditioning:
             basis=self._basis,
             certified_margin=request.certified_margin,
             cost_penalty=request.cost_penalty,
-            channel_weights=_weights(cost_map, self._entry.channels),
+            channel_weights=cost_map.channel_weights,
         )
 
     def probe(self) -> AnchorRequest:
@@ -178,15 +176,6 @@ def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
         if place is not None:
             return replace(scene, x_goal=np.concatenate([place, scene.x_goal[2:]]))
     return scene if is_free else None
-
-
-def _weights(cost_map: CostMap, channels: int) -> NDArray[np.float32] | None:
-    """Return the factors [C-1] of a map filled up to `channels`."""
-    if (given := cost_map.channel_weights) is None:
-        return None
-    weights = np.ones(max(channels - 1, len(given)), np.float32)
-    weights[: len(given)] = given
-    return weights
 
 
 def _limits(request: ResolvedRequest) -> LimitsSpec:

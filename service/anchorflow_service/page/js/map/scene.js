@@ -4,10 +4,10 @@ import { placeEnds } from "./grid.js";
 
 /** The named styles of the contract: weights of safety, energy and smoothness. */
 export const STYLES = {
-  conservative: [0.8, 0.1, 0.1],
+  conservative: [0.7, 0.1, 0.2],
   balanced: [0.4, 0.3, 0.3],
-  efficient: [0.1, 0.8, 0.1],
-  comfortable: [0.1, 0.1, 0.8],
+  efficient: [0.2, 0.5, 0.3],
+  comfortable: [0.3, 0.2, 0.5],
 };
 /** Evaluations of the vector field for a step of each method. */
 const EVALUATIONS = { euler: 1, midpoint: 2, heun: 2, rk4: 4, ab2: 1 };
