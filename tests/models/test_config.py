@@ -10,8 +10,7 @@ import pytest
 import torch
 from flowmp_scenes import make_model, make_scene, means_of
 from small_configs import BACKBONE, DIFFUSIONDRIVE
-from tiny_wote import AHEAD
-from tiny_wote import TINY as WOTE
+from tiny_wote import AHEAD, TINY as WOTE
 from torch import Tensor
 
 from anchorflow_models import (
