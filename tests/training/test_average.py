@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 import torch
+from training_runs import QUICK
 
 from anchorflow_cli.main import main
-from anchorflow_models import L2Config
-from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import (
     CheckpointError,
     load_checkpoint,
@@ -23,18 +22,10 @@ from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
-CONFIG = TrainerConfig(
-    steps=2,
-    warmup=0,
-    tensorboard=False,
-    batch=FlowBatchConfig(scenes=2, samples=4),
-    model=L2Config(map_size=16, feature_channels=4),
-)
-
 
 @pytest.fixture
 def first(tiny_dataset: SceneDataset, tmp_path: Path) -> Path:
-    return trained(CONFIG, tiny_dataset, tmp_path / "first")
+    return trained(QUICK, tiny_dataset, tmp_path / "first")
 
 
 def trained(config: TrainerConfig, data: SceneDataset, out: Path) -> Path:
@@ -45,7 +36,7 @@ def trained(config: TrainerConfig, data: SceneDataset, out: Path) -> Path:
 def test_a_run_begins_with_the_averaged_weights_of_the_one_before(
     first: Path, tiny_dataset: SceneDataset, tmp_path: Path
 ) -> None:
-    begun = CFMTrainer(replace(CONFIG, before=str(first)), tiny_dataset, tmp_path / "next")
+    begun = CFMTrainer(replace(QUICK, before=str(first)), tiny_dataset, tmp_path / "next")
     assert begun.step == 0
     wanted = load_checkpoint(first).average
     assert any(not torch.equal(wanted[n], w) for n, w in load_checkpoint(first).model.items())
@@ -56,8 +47,8 @@ def test_a_run_begins_with_the_averaged_weights_of_the_one_before(
 def test_a_run_begins_with_no_other_planner_and_no_other_network(
     first: Path, tiny_dataset: SceneDataset, tmp_path: Path
 ) -> None:
-    after = replace(CONFIG, before=str(first))
-    other = replace(after, model=replace(CONFIG.model, feature_channels=6))
+    after = replace(QUICK, before=str(first))
+    other = replace(after, model=replace(QUICK.model, feature_channels=6))
     with pytest.raises(ConfigError, match=r"before: .*expected model\.feature_channels 6, got 4"):
         CFMTrainer(other, tiny_dataset, tmp_path / "other")
     save_checkpoint(first, replace(load_checkpoint(first), planner="wote"))
@@ -68,7 +59,7 @@ def test_a_run_begins_with_no_other_planner_and_no_other_network(
 def test_a_mean_is_half_of_each_and_says_whose_it_is(
     first: Path, tiny_dataset: SceneDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    longer = replace(CONFIG, steps=3, before=str(first))
+    longer = replace(QUICK, steps=3, before=str(first))
     second = trained(longer, tiny_dataset, tmp_path / "second")
     out = tmp_path / "mean.pt"
     with pytest.raises(SystemExit) as end:
@@ -88,7 +79,7 @@ def test_a_mean_is_half_of_each_and_says_whose_it_is(
 def test_a_mean_of_what_does_not_fit_is_refused(
     first: Path, tiny_dataset: SceneDataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    wide = replace(CONFIG, model=replace(CONFIG.model, feature_channels=6))
+    wide = replace(QUICK, model=replace(QUICK.model, feature_channels=6))
     other = trained(wide, tiny_dataset, tmp_path / "wide")
     with pytest.raises(CheckpointError, match=r"first.*expected model\.feature_channels 6, got 4"):
         mean_checkpoint([first, other])

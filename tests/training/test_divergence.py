@@ -11,25 +11,16 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from training_runs import QUICK
 
 from anchorflow_cli.main import main
-from anchorflow_models import L2Config
-from anchorflow_training.batches import FlowBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset
 from anchorflow_training.fabric import DivergenceError
 from anchorflow_training.objective import FlowObjective
-from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+from anchorflow_training.trainer import CFMTrainer
 
-CONFIG = TrainerConfig(
-    steps=6,
-    warmup=0,
-    report_every=1,
-    checkpoint_every=2,
-    tensorboard=False,
-    batch=FlowBatchConfig(scenes=2, samples=4),
-    model=L2Config(map_size=16, feature_channels=4),
-)
+CONFIG = replace(QUICK, steps=6, checkpoint_every=2)
 
 
 def break_step(

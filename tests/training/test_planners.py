@@ -14,17 +14,17 @@ import torch
 from image_planner import HEIGHT, WIDTH
 from torch import Tensor, nn
 from torch_camera_planner import NAME, PLANNER, CameraConfig, CameraPlanner, camera_adapter
+from training_runs import QUICK, command
 from typer.testing import CliRunner
 
-from anchorflow_cli.main import main
 from anchorflow_cli.options import command_app
 from anchorflow_cli.training import with_settings
 from anchorflow_export import planners as adapters
-from anchorflow_models import L2Config, registry
+from anchorflow_models import registry
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 from anchorflow_training import planners
-from anchorflow_training.batches import Batch, FlowBatchConfig
+from anchorflow_training.batches import Batch
 from anchorflow_training.checkpoint import (
     CheckpointError,
     load_checkpoint,
@@ -148,15 +148,6 @@ def trained(second_planner: str, data: Path, config_file: Path, tmp_path: Path) 
     return out
 
 
-def command(*words: str | Path) -> str:
-    """Return the error message of a command."""
-    try:
-        main([str(word) for word in words])
-    except SystemExit as error:
-        return str(error)
-    return ""
-
-
 def test_a_run_creates_checkpoints_and_restores_its_planner(trained: Path, data: Path) -> None:
     saved = load_checkpoint(trained / "checkpoint.pt")
     assert (saved.planner, saved.step, saved.data) == (NAME, 2, {"scenes": SCENES})
@@ -266,24 +257,18 @@ def test_a_planner_without_an_adapter_is_one_line(
 def test_the_folder_of_another_planners_run_is_not_gone_on_with(
     trained: Path, tiny_dataset: SceneDataset
 ) -> None:
-    batch = FlowBatchConfig(scenes=2, samples=2)
-    config = TrainerConfig(batch=batch, model=L2Config(map_size=16, feature_channels=4))
     with pytest.raises(CheckpointError, match=f"expected planner '{NAME}'.* got 'flowmp'"):
-        CFMTrainer(config, tiny_dataset, trained)
+        CFMTrainer(QUICK, tiny_dataset, trained)
 
 
 @pytest.mark.usefixtures("second_planner")
 def test_what_names_no_planner_is_flowmps(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    batch = FlowBatchConfig(scenes=2, samples=2)
-    config = TrainerConfig(
-        steps=1, tensorboard=False, batch=batch, model=L2Config(map_size=16, feature_channels=4)
-    )
-    run = CFMTrainer(config, tiny_dataset, tmp_path)
+    run = CFMTrainer(QUICK, tiny_dataset, tmp_path)
     run.fit()
     saved = torch.load(run.checkpoint_path, weights_only=True)
     assert saved.pop("planner") == "flowmp"
     torch.save(saved, run.checkpoint_path)
-    assert restore_model(load_checkpoint(run.checkpoint_path)).config == config.model
+    assert restore_model(load_checkpoint(run.checkpoint_path)).config == QUICK.model
     file = tmp_path / "old.yaml"
     file.write_text("steps: 2\n")
     assert planners.training_of(None, file).config is TrainerConfig

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,30 +10,30 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from training_runs import QUICK, SMALL
 from trajectory_files import COUNT, RNG, STEPS, l2_arrays, saved
 
-from anchorflow_models import L2Config
 from anchorflow_training.batches import FlowBatchConfig, draw_batch
-from anchorflow_training.config import TrainerConfig
 from anchorflow_training.data import TrajectoryDataset
 from anchorflow_training.dataset import DatasetError, SceneDataset, open_dataset, own_time_states
 from anchorflow_training.objective import prior_covariance
-from anchorflow_training.trainer import CFMTrainer
+from anchorflow_training.trainer import CFMTrainer, TrainerConfig
 
 SCENES, TRAJECTORIES = 6, 4
-MODEL = L2Config(map_size=16, feature_channels=4)
-CONFIG = TrainerConfig(
-    steps=3,
-    warmup=0,
-    report_every=1,
-    tensorboard=False,
-    batch=FlowBatchConfig(scenes=2, samples=4),
-    model=MODEL,
-)
+CONFIG = replace(QUICK, steps=3)
 
 
 def with_quality(dataset: SceneDataset, quality: np.ndarray) -> SceneDataset:
     return replace(dataset, arrays={**dataset.arrays, "quality": quality.astype(np.float32)})
+
+
+def fitted(
+    datasets: Sequence[SceneDataset], out: Path, config: TrainerConfig = CONFIG
+) -> list[CFMTrainer]:
+    runs = [CFMTrainer(config, data, out / f"{n}") for n, data in enumerate(datasets)]
+    for run in runs:
+        run.fit()
+    return runs
 
 
 def test_a_batch_weighs_each_sample_by_its_trajectory(tiny_dataset: SceneDataset) -> None:
@@ -67,14 +67,11 @@ def test_trajectories_of_no_quality_teach_nothing(
     arrays = {**tiny_dataset.arrays, "states": states}
     # Optimal transport would pair noise with them all the same, so it is off.
     config = replace(CONFIG, flow=replace(CONFIG.flow, optimal_transport=False))
-    runs = []
-    for name, dataset in (("a", tiny_dataset), ("b", replace(tiny_dataset, arrays=arrays))):
-        runs.append(CFMTrainer(config, with_quality(dataset, quality), tmp_path / name))
-        runs[-1].fit()
-    torch.testing.assert_close(runs[0].average, runs[1].average)
-    counted = CFMTrainer(config, replace(tiny_dataset, arrays=arrays), tmp_path / "c")
-    counted.fit()
-    assert counted.curve[-1]["loss"] != pytest.approx(runs[1].curve[-1]["loss"], rel=1e-3)
+    moved = replace(tiny_dataset, arrays=arrays)
+    datasets = with_quality(tiny_dataset, quality), with_quality(moved, quality), moved
+    same, ignored, counted = fitted(datasets, tmp_path, config)
+    torch.testing.assert_close(same.average, ignored.average)
+    assert counted.curve[-1]["loss"] != pytest.approx(ignored.curve[-1]["loss"], rel=1e-3)
 
 
 def test_the_prior_has_the_spread_of_what_counts(tiny_dataset: SceneDataset) -> None:
@@ -85,8 +82,8 @@ def test_the_prior_has_the_spread_of_what_counts(tiny_dataset: SceneDataset) -> 
     for name in ("states", "durations", "route"):
         first[name] = first[name][:, :2]
     np.testing.assert_allclose(
-        prior_covariance(with_quality(tiny_dataset, quality), MODEL),
-        prior_covariance(replace(tiny_dataset, arrays=first), MODEL),
+        prior_covariance(with_quality(tiny_dataset, quality), SMALL),
+        prior_covariance(replace(tiny_dataset, arrays=first), SMALL),
         rtol=0,
         atol=1e-7,  # the largest are 0.01; float32 rounds the fit to 2e-8
     )
@@ -94,10 +91,7 @@ def test_the_prior_has_the_spread_of_what_counts(tiny_dataset: SceneDataset) -> 
 
 def test_equal_qualities_change_nothing(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
     half = with_quality(tiny_dataset, np.full((SCENES, TRAJECTORIES), 0.5))
-    runs = []
-    for name, dataset in (("plain", tiny_dataset), ("half", half)):
-        runs.append(CFMTrainer(CONFIG, dataset, tmp_path / name))
-        runs[-1].fit()
+    runs = fitted((tiny_dataset, half), tmp_path)
     losses = [[row["loss"] for row in run.curve] for run in runs]
     np.testing.assert_allclose(*losses, rtol=1e-5)
 

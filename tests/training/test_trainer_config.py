@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from typer.testing import CliRunner
+from training_runs import assert_documented, command
 
-from anchorflow_cli.main import main
 from anchorflow_cli.training import TRAIN_SHORT, train_app
 from anchorflow_training.config import TrainerConfig
 from anchorflow_training.dataset import SceneDataset
@@ -165,35 +164,19 @@ def test_a_wrong_file_is_named(
 
 
 def test_every_setting_is_an_option_and_stands_in_the_docs() -> None:
-    text, leaves = DOCS.read_text(), list(settings(TrainerConfig))
-    help_text = CliRunner().invoke(train_app, ["--help"], env={"COLUMNS": "300"}).output
+    leaves = list(settings(TrainerConfig))
     assert len(leaves) > 30
-    for leaf in leaves:
-        option = "--" + leaf.path.replace("_", "-")
-        assert re.search(rf"{re.escape(option)}\b", help_text), option
-        row = re.search(rf"^\| `{re.escape(leaf.path)}` \| ([^|]*) \|", text, re.MULTILINE)
-        assert row, f"docs/training.md has no row `{leaf.path}`"
-        default = "none" if leaf.default is None else str(leaf.default).lower()
-        assert row[1].strip() == f"`{default}`", leaf.path
+    assert_documented(leaves, train_app, DOCS)
     assert set(TRAIN_SHORT) <= {leaf.path for leaf in leaves}
-    section = text.partition("\n## Every setting\n")[2].partition("\n## ")[0]
+    section = DOCS.read_text().partition("\n## Every setting\n")[2].partition("\n## ")[0]
     assert {*re.findall(r"^\| `([^`]+)`", section, re.MULTILINE)} == {leaf.path for leaf in leaves}
-
-
-def command(*words: str) -> str:
-    """What `anchorflow train` says, its error included."""
-    try:
-        main(["train", *words])
-    except SystemExit as error:
-        return str(error)
-    return ""
 
 
 def test_print_config_prints_and_trains_nothing(
     tiny_dataset_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["--scenes", "3", "--flow.weights.lambda-vel", "0.7", "--no-tensorboard"]
-    command(str(tiny_dataset_path), "--print-config", "--out", str(tmp_path / "run"), *words)
+    command("train", tiny_dataset_path, "--print-config", "--out", tmp_path / "run", *words)
     text = capsys.readouterr().out
     file = tmp_path / "train.yaml"
     file.write_text(text)
@@ -225,7 +208,7 @@ def test_a_wrong_command_is_one_line_and_makes_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    said = command(str(tiny_dataset_path), *words)
+    said = command("train", tiny_dataset_path, *words)
     assert message in said
     assert said.startswith("anchorflow train: ")
     assert "\n" not in said
@@ -242,7 +225,7 @@ def test_without_a_terminal_each_report_is_a_plain_line(
         "model: {map_size: 16, feature_channels: 4}\n"
     )
     out = tmp_path / "run"
-    assert command(str(tiny_dataset_path), "--out", str(out), "--config", str(file)) in ("", "0")
+    assert command("train", tiny_dataset_path, "--out", out, "--config", file) in ("", "0")
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[:3] for line in lines[:2]] == [["step", str(n), "loss"] for n in (1, 2)]
     assert lines[2].startswith("step 2 success ")

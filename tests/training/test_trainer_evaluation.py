@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from training_runs import QUICK, SMALL
 
-from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_training.batches import FlowBatchConfig
+from anchorflow_models import create_l2_safety_cfm
 from anchorflow_training.checkpoint import load_checkpoint
-from anchorflow_training.config import EvaluationConfig, TrainerConfig
+from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.evaluation import (
     States,
@@ -32,15 +32,8 @@ from anchorflow_trajectory.cost.clearance import GridField, clearance_field
 from anchorflow_trajectory.motion import MotionLimits
 
 LIMITS = MotionLimits(v_max=2.0, a_max=3.0)
-MODEL = L2Config(map_size=16, feature_channels=4)
-CONFIG = TrainerConfig(
-    steps=3,
-    warmup=0,
-    report_every=1,
-    tensorboard=False,
-    batch=FlowBatchConfig(scenes=2, samples=2),
-    evaluation=EvaluationConfig(every=1, held_out=2, samples=3, steps=1, pictures=0),
-    model=MODEL,
+CONFIG = replace(
+    QUICK, steps=3, evaluation=EvaluationConfig(every=1, held_out=2, samples=3, steps=1, pictures=0)
 )
 
 
@@ -53,7 +46,7 @@ def evaluated(dataset: SceneDataset, out: Path, **options: object) -> CFMTrainer
 
 def straight_lines(*, y: list[float], end: float = 2.0) -> States:
     """Positions, velocities and accelerations [N, T, 2] from x = -2 at 0.5 m/s, one line a y."""
-    x = np.linspace(-2.0, end, MODEL.num_steps)
+    x = np.linspace(-2.0, end, SMALL.num_steps)
     position = np.stack([np.stack([x, np.full_like(x, line)], -1) for line in y])
     velocity = np.broadcast_to(np.array([0.5, 0.0], np.float32), position.shape)
     still = np.zeros_like(position, np.float32)
@@ -119,11 +112,11 @@ def test_the_sampler_is_of_second_order() -> None:
 
 def test_judged_anchors_meet_both_ends_and_are_always_the_same(tiny_dataset: SceneDataset) -> None:
     evaluator = flow_evaluator(tiny_dataset, EvaluationConfig(scenes=2, samples=3, steps=1))
-    model = create_l2_safety_cfm(MODEL).eval()
+    model = create_l2_safety_cfm(SMALL).eval()
     first, second = evaluator.judged(model), evaluator.judged(model)
     assert len(first) == 2
     for scene, again in zip(first, second, strict=True):
-        assert scene.positions.shape == (3, MODEL.num_steps, 2)
+        assert scene.positions.shape == (3, SMALL.num_steps, 2)
         np.testing.assert_allclose(scene.positions[:, 0] - scene.x_curr[:2], 0, atol=1e-3)
         np.testing.assert_allclose(scene.positions[:, -1] - scene.x_goal[:2], 0, atol=1e-3)
         np.testing.assert_array_equal(scene.positions, again.positions)
@@ -136,7 +129,7 @@ def test_anchors_are_judged_by_the_limits_and_the_horizon_of_their_own_scene(
     tiny_dataset: SceneDataset,
 ) -> None:
     """An untrained flow draws its prior: within the robot's limits, beyond those of a slow one."""
-    model = create_l2_safety_cfm(MODEL).eval()
+    model = create_l2_safety_cfm(SMALL).eval()
     model.prior.widen(0.01)
     config = EvaluationConfig(scenes=6, samples=4, steps=1)
 
@@ -154,7 +147,7 @@ def test_anchors_are_judged_by_the_limits_and_the_horizon_of_their_own_scene(
 
 def test_more_sampler_steps_are_another_answer(tiny_dataset: SceneDataset) -> None:
     torch.manual_seed(0)
-    model = create_l2_safety_cfm(MODEL).eval()
+    model = create_l2_safety_cfm(SMALL).eval()
     for parameter in model.parameters():  # an untrained field is zero
         torch.nn.init.normal_(parameter, std=0.05)
     one, four = (
@@ -187,7 +180,7 @@ def test_another_dataset_may_judge(tiny_dataset: SceneDataset) -> None:
 
 
 def test_a_model_of_another_shape_than_the_dataset_is_refused(tiny_dataset: SceneDataset) -> None:
-    config = replace(CONFIG, model=replace(MODEL, num_steps=32))
+    config = replace(CONFIG, model=replace(SMALL, num_steps=32))
     with pytest.raises(ConfigError, match=r"model\.num_steps: expected 64.*got 32"):
         split(tiny_dataset, config)
 
@@ -199,6 +192,8 @@ def test_every_evaluation_is_written_and_reported(
     lines = (tmp_path / "evaluations.jsonl").read_text().splitlines()
     assert [json.loads(line)["step"] for line in lines] == [2, 3]  # and at the end
     assert [json.loads(line) for line in lines] == run.evaluations
+    assert not (tmp_path / "samples").exists()  # no pictures
+    assert not (tmp_path / "tensorboard").exists()
 
 
 def test_the_best_weights_are_kept(
@@ -250,17 +245,12 @@ def test_each_evaluation_leaves_a_picture_of_as_many_scenes_as_asked(
     assert imread(file).std() > 0.01
 
 
-def test_no_pictures_no_folder(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    evaluated(tiny_dataset, tmp_path, pictures=0)
-    assert not (tmp_path / "samples").exists()
-
-
 def test_without_matplotlib_a_line_says_so(
     tiny_dataset: SceneDataset, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
     scenes = flow_evaluator(tiny_dataset, EvaluationConfig(scenes=1, samples=1, steps=1)).judged(
-        create_l2_safety_cfm(MODEL)
+        create_l2_safety_cfm(SMALL)
     )
     with caplog.at_level(logging.WARNING):
         assert sample_picture(scenes) is None
@@ -284,8 +274,3 @@ def test_tensorboard_gets_every_scalar_and_the_picture(
     assert {f"validation/{name}" for name in ("success", "any", "free", "feasible")} <= tags
     assert [event.step for event in events.Scalars("train/loss")] == [1, 2, 3]
     assert [event.step for event in events.Images("anchors")] == [2, 3]
-
-
-def test_tensorboard_off_writes_nothing(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    evaluated(tiny_dataset, tmp_path)
-    assert not (tmp_path / "tensorboard").exists()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from anchorflow_training.record import Row
 from anchorflow_training.settings import ConfigError, build, merged, nested
 from anchorflow_training.trainer import CFMTrainer
 
+Make = Callable[..., CFMTrainer]
 BASE: dict[str, Any] = {
     "steps": 2,
     "warmup": 0,
@@ -38,19 +39,37 @@ def trainer(dataset: SceneDataset, out: Path, options: Mapping[str, Any]) -> CFM
     return CFMTrainer(build(TrainerConfig, values, source="test"), dataset, out)
 
 
-def fitted(dataset: SceneDataset, out: Path, **options: Any) -> CFMTrainer:
-    run = trainer(dataset, out, {n.replace("__", "."): v for n, v in options.items()})
-    run.fit()
-    return run
+def dotted(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {name.replace("__", "."): value for name, value in options.items()}
 
 
 def losses(run: CFMTrainer) -> list[float]:
     return [row["loss"] for row in run.curve]
 
 
+@pytest.fixture
+def make(tiny_dataset: SceneDataset, tmp_path: Path) -> Make:
+    """Makes a run with some options in a folder of the test's own."""
+    return lambda name="run", **options: trainer(tiny_dataset, tmp_path / name, dotted(options))
+
+
+@pytest.fixture
+def fit(make: Make) -> Make:
+    """Makes such a run and trains it."""
+
+    def fit(name: str = "run", **options: Any) -> CFMTrainer:
+        run = make(name, **options)
+        run.fit()
+        return run
+
+    return fit
+
+
 @pytest.fixture(scope="module")
 def base(tiny_dataset_path: Path, tmp_path_factory: pytest.TempPathFactory) -> CFMTrainer:
-    return fitted(open_dataset(tiny_dataset_path), tmp_path_factory.mktemp("base"))
+    run = trainer(open_dataset(tiny_dataset_path), tmp_path_factory.mktemp("base"), {})
+    run.fit()
+    return run
 
 
 @pytest.mark.parametrize(
@@ -71,28 +90,25 @@ def base(tiny_dataset_path: Path, tmp_path_factory: pytest.TempPathFactory) -> C
     ],
 )
 def test_the_option_changes_what_is_learnt(
-    path: str, value: Any, base: CFMTrainer, tiny_dataset: SceneDataset, tmp_path: Path
+    path: str, value: Any, base: CFMTrainer, fit: Make
 ) -> None:
-    run = trainer(tiny_dataset, tmp_path, {path: value})
-    run.fit()
+    run = fit(**{path: value})
     pairs = ((run.average[n], w) for n, w in base.average.items())
     assert any(not torch.allclose(ours, theirs, rtol=1e-4, atol=1e-8) for ours, theirs in pairs)
 
 
-def test_steps_and_report_every(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    run = fitted(tiny_dataset, tmp_path, steps=4, report_every=2)
+def test_steps_and_report_every(fit: Make) -> None:
+    run = fit(steps=4, report_every=2)
     assert [row["step"] for row in run.curve] == [2, 4]
 
 
-def test_a_report_is_the_mean_of_its_steps(
-    base: CFMTrainer, tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    run = fitted(tiny_dataset, tmp_path, report_every=2)
+def test_a_report_is_the_mean_of_its_steps(base: CFMTrainer, fit: Make) -> None:
+    run = fit(report_every=2)
     np.testing.assert_allclose(losses(run), [np.mean(losses(base))], rtol=1e-5)
 
 
-def test_checkpoint_every(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    run = trainer(tiny_dataset, tmp_path, {"steps": 3, "checkpoint_every": 2})
+def test_checkpoint_every(make: Make) -> None:
+    run = make(steps=3, checkpoint_every=2)
     seen: dict[int, bool] = {}
 
     def report(step: int, _: Row) -> None:
@@ -102,32 +118,30 @@ def test_checkpoint_every(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
     assert seen == {1: False, 2: False, 3: True}  # a report precedes its step's checkpoint
 
 
-def test_ema_decay_zero_is_the_weights_themselves(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    run = fitted(tiny_dataset, tmp_path, ema_decay=0.0)
+def test_ema_decay_zero_is_the_weights_themselves(fit: Make) -> None:
+    run = fit(ema_decay=0.0)
     torch.testing.assert_close(run.average, dict(run.model.state_dict()))
 
 
 def test_accumulated_gradients_are_the_mean_of_the_batches(
-    tiny_dataset: SceneDataset, tmp_path: Path
+    tiny_dataset: SceneDataset, make: Make, fit: Make
 ) -> None:
-    single = trainer(tiny_dataset, tmp_path / "a", {})
+    single = make("a")
     batches = [draw_batch(tiny_dataset, single.config.batch, index) for index in range(2)]
     parts = [single._loss(batch, index)[0] for index, batch in enumerate(batches)]
     mean = sum(parts[1:], parts[0]) / 2
     gradients = torch.autograd.grad(mean, list(single.model.parameters()), allow_unused=True)
     norm = torch.cat([g.flatten() for g in gradients if g is not None]).norm()
 
-    run = fitted(tiny_dataset, tmp_path / "b", steps=1, accumulate=2)
+    run = fit("b", steps=1, accumulate=2)
     np.testing.assert_allclose(losses(run), [mean.item()], rtol=1e-5)
     np.testing.assert_allclose(run.curve[0]["gradient_norm"], norm.item(), rtol=1e-4)
 
 
 def test_two_processes_see_what_two_accumulated_batches_see(
-    tiny_dataset: SceneDataset, tmp_path: Path
+    tiny_dataset: SceneDataset, tmp_path: Path, make: Make, fit: Make
 ) -> None:
-    alone = fitted(tiny_dataset, tmp_path / "alone", accumulate=2)
+    alone = fit("alone", accumulate=2)
     words = ["--devices=2", "--accelerator=cpu", "--threads=1", "--steps=2", "--warmup=0"]
     words += ["--report-every=1", "--scenes=2", "--samples=4", "--no-tensorboard"]
     words += ["--model.map-size=16", "--model.feature-channels=4"]
@@ -144,17 +158,15 @@ def test_two_processes_see_what_two_accumulated_batches_see(
     )
 
     assert answer.returncode == 0, answer.stderr
-    both = trainer(tiny_dataset, out, {"accumulate": 2})
+    both = make("both", accumulate=2)
     assert both.step == 2
     np.testing.assert_allclose(losses(both), losses(alone), rtol=1e-4)
     assert answer.stdout.count("step 2 loss") == 1
 
 
-def test_bfloat16_rounds_and_float32_does_not(
-    base: CFMTrainer, tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    half = fitted(tiny_dataset, tmp_path / "half", precision="bfloat16")
-    full = fitted(tiny_dataset, tmp_path / "full", precision="float32", accelerator="cpu")
+def test_bfloat16_rounds_and_float32_does_not(base: CFMTrainer, fit: Make) -> None:
+    half = fit("half", precision="bfloat16")
+    full = fit("full", precision="float32", accelerator="cpu")
     assert losses(half) != losses(full)
     np.testing.assert_allclose(losses(half), losses(full), rtol=2e-2)
     if not torch.cuda.is_available():
@@ -169,33 +181,27 @@ def test_bfloat16_rounds_and_float32_does_not(
         ({"precision": "float16"}, "precision: float16 needs a GPU"),
     ],
 )
-def test_what_the_machine_lacks_is_named(
-    option: dict[str, str], message: str, tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
+def test_what_the_machine_lacks_is_named(option: dict[str, str], message: str, make: Make) -> None:
     with pytest.raises(ConfigError, match=message):
-        trainer(tiny_dataset, tmp_path, option)
+        make(**option)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 @pytest.mark.parametrize("precision", ["auto", "float16", "bfloat16"])
-def test_a_gpu_trains_as_a_cpu_does(
-    precision: str, tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    on_cpu = fitted(tiny_dataset, tmp_path / "cpu", accelerator="cpu")
-    on_gpu = fitted(tiny_dataset, tmp_path / "gpu", accelerator="cuda", precision=precision)
+def test_a_gpu_trains_as_a_cpu_does(precision: str, fit: Make) -> None:
+    on_cpu = fit("cpu", accelerator="cpu")
+    on_gpu = fit("gpu", accelerator="cuda", precision=precision)
     np.testing.assert_allclose(losses(on_gpu), losses(on_cpu), rtol=3e-2)
 
 
 # torch's own compiler still uses what torch has deprecated.
 @pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
-def test_compile_compiles_the_networks_in_place(
-    base: CFMTrainer, tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
+def test_compile_compiles_the_networks_in_place(base: CFMTrainer, fit: Make) -> None:
     def compiled(run: CFMTrainer) -> bool:
         return run.model.cost_map_encoder._compiled_call_impl is not None
 
     with torch.compiler.set_stance("force_eager"):
-        run = fitted(tiny_dataset, tmp_path, compile=True)
+        run = fit(compile=True)
     assert compiled(run)
     assert not compiled(base)
     assert run.average.keys() == base.average.keys()
@@ -208,27 +214,20 @@ def thread_count() -> Iterator[int]:
     torch.set_num_threads(before)
 
 
-def test_threads(thread_count: int, tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    trainer(tiny_dataset, tmp_path / "a", {"threads": thread_count + 1})
+def test_threads(thread_count: int, make: Make) -> None:
+    make("a", threads=thread_count + 1)
     assert torch.get_num_threads() == thread_count + 1
-    trainer(tiny_dataset, tmp_path / "b", {})
+    make("b")
     assert torch.get_num_threads() == thread_count + 1
 
 
-def test_the_size_of_a_batch(tiny_dataset: SceneDataset) -> None:
-    batch = draw_batch(tiny_dataset, FlowBatchConfig(scenes=3, samples=5), 0)
-    assert batch["states"].shape[:2] == (3, 5)
-
-
-def test_a_batch_larger_than_the_dataset_is_refused(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
+def test_a_batch_larger_than_the_dataset_is_refused(make: Make) -> None:
     with pytest.raises(ConfigError, match=r"batch\.scenes: expected at most 6.*got 7"):
-        trainer(tiny_dataset, tmp_path, {"batch.scenes": 7})
+        make(batch__scenes=7)
 
 
 def test_mirror_off_keeps_every_scene_as_it_is(
-    base: CFMTrainer, tiny_dataset: SceneDataset, tmp_path: Path
+    base: CFMTrainer, tiny_dataset: SceneDataset, make: Make
 ) -> None:
     starts = {float(x) for x in tiny_dataset.arrays["x_curr"][:, 1]}
     drawn = {True: set(), False: set()}
@@ -239,7 +238,7 @@ def test_mirror_off_keeps_every_scene_as_it_is(
     assert drawn[False] == starts
     assert drawn[True] > starts
     # The prior too leans where the data lean.
-    run = trainer(tiny_dataset, tmp_path, {"batch.mirror": False})
+    run = make(batch__mirror=False)
     assert not torch.allclose(run.model.prior.factor, base.model.prior.factor)
 
 

@@ -8,46 +8,36 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from training_runs import QUICK, fit_until
 
-from anchorflow_models import L2Config
-from anchorflow_training.batches import Batch, FlowBatchConfig
+from anchorflow_training.batches import Batch
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_model
 from anchorflow_training.config import EvaluationConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+from anchorflow_training.trainer import CFMTrainer
 
 INTERVAL = 4
-CONFIG = TrainerConfig(
-    steps=2000,
-    warmup=10,
-    report_every=1,
-    checkpoint_every=INTERVAL,
-    tensorboard=False,
-    batch=FlowBatchConfig(scenes=2, samples=4),
-    model=L2Config(map_size=16, feature_channels=4),
-)
+CONFIG = replace(QUICK, steps=2000, warmup=10, checkpoint_every=INTERVAL)
+Run = Callable[..., CFMTrainer]
 PATIENCE_S = 180.0  # for a subprocess on a busy machine
 
-# The model settings in the first checkpoints of this project.
 
+@pytest.fixture
+def run(tiny_dataset: SceneDataset, tmp_path: Path) -> Run:
+    """Makes a run of changed settings in a folder of the test's own."""
 
-class Cut(Exception):
-    """Ends a run from its own report."""
+    def make(name: str = "run", *, data: SceneDataset = tiny_dataset, **changed: Any) -> CFMTrainer:
+        return CFMTrainer(replace(CONFIG, **changed), data, tmp_path / name)
 
-
-def fit_until(run: CFMTrainer, last: int) -> None:
-    def report(step: int, _: dict[str, float]) -> None:
-        if step == last:
-            raise Cut
-
-    with pytest.raises(Cut):
-        run.fit(report)
+    return make
 
 
 def rows(out: Path) -> list[dict[str, float]]:
@@ -102,83 +92,74 @@ def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
         np.testing.assert_allclose(*values, rtol=1e-3)
 
 
-def test_a_mean_that_spans_the_cut_is_that_of_an_uninterrupted_run(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    config = replace(CONFIG, steps=6, report_every=3, checkpoint_every=2)
-    whole = CFMTrainer(config, tiny_dataset, tmp_path / "whole")
+def test_a_mean_that_spans_the_cut_is_that_of_an_uninterrupted_run(run: Run) -> None:
+    often = {"steps": 6, "report_every": 3, "checkpoint_every": 2}
+    whole = run("whole", **often)
     whole.fit()
-    cut = CFMTrainer(config, tiny_dataset, tmp_path / "cut")
-    fit_until(cut, 3)
-    resumed = CFMTrainer(config, tiny_dataset, tmp_path / "cut")
+    fit_until(run("cut", **often), 3)
+    resumed = run("cut", **often)
     assert resumed.step == 2
     resumed.fit()
 
     assert [row["step"] for row in resumed.curve] == [3, 6]
     for name in ("loss", "gradient_norm"):
-        values = [[row[name] for row in run.curve] for run in (whole, resumed)]
+        values = [[row[name] for row in each.curve] for each in (whole, resumed)]
         np.testing.assert_allclose(*values, rtol=1e-4)
     torch.testing.assert_close(whole.average, resumed.average, rtol=1e-3, atol=1e-5)
 
 
-def test_a_finished_run_changes_nothing(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    config = replace(CONFIG, steps=2)
-    CFMTrainer(config, tiny_dataset, tmp_path).fit()
-    before = (tmp_path / "checkpoint.pt").read_bytes(), (tmp_path / "curve.jsonl").read_bytes()
-    CFMTrainer(config, tiny_dataset, tmp_path).fit()
-    after = (tmp_path / "checkpoint.pt").read_bytes(), (tmp_path / "curve.jsonl").read_bytes()
-    assert before == after
+def test_a_finished_run_changes_nothing(run: Run) -> None:
+    written = []
+    for _ in range(2):
+        finished = run(steps=2)
+        finished.fit()
+        files = finished.checkpoint_path, finished.out / "curve.jsonl"
+        written.append([file.read_bytes() for file in files])
+    assert written[0] == written[1]
 
 
-def test_another_model_is_refused_by_name(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path).fit()
-    other = replace(CONFIG, model=replace(CONFIG.model, steps_per_token=4))
+def test_another_model_is_refused_by_name(run: Run) -> None:
+    run(steps=1).fit()
     with pytest.raises(CheckpointError, match=r"checkpoint\.pt.*model\.steps_per_token 8.*got 4"):
-        CFMTrainer(other, tiny_dataset, tmp_path)
+        run(model=replace(CONFIG.model, steps_per_token=4))
 
 
-def test_a_checkpoint_of_one_horizon_for_all_is_refused_in_words(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
+def test_a_checkpoint_of_one_horizon_for_all_is_refused_in_words(run: Run) -> None:
     """Earlier models had their limits and their horizon built in; they are other networks."""
-    run = CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path)
-    run.fit()
-    saved = dict(vars(load_checkpoint(run.checkpoint_path)))
+    old = run(steps=1)
+    old.fit()
+    saved = dict(vars(load_checkpoint(old.checkpoint_path)))
     saved["config"] = {**saved["config"], "model": {**saved["config"]["model"], "horizon_s": 8.0}}
-    torch.save(saved, run.checkpoint_path)
+    torch.save(saved, old.checkpoint_path)
     with pytest.raises(CheckpointError, match=r"checkpoint: .*horizon_s"):
-        restore_model(load_checkpoint(run.checkpoint_path))
+        restore_model(load_checkpoint(old.checkpoint_path))
 
 
-def test_other_data_are_refused_by_name(tiny_dataset: SceneDataset, tmp_path: Path) -> None:
-    CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path).fit()
+def test_other_data_are_refused_by_name(run: Run, tiny_dataset: SceneDataset) -> None:
+    run(steps=1).fit()
     limits = {**tiny_dataset.meta["limits"], "v_max": 1.5}
     other = replace(tiny_dataset, meta={**tiny_dataset.meta, "limits": limits})
     said = r"checkpoint\.pt: limits of the data: expected .*2\.0.* got .*1\.5.*another folder"
     with pytest.raises(CheckpointError, match=said):
-        CFMTrainer(CONFIG, other, tmp_path)
+        run(data=other)
     more = replace(tiny_dataset, meta={**tiny_dataset.meta, "robot_radius": 0.3})
     with pytest.raises(
         CheckpointError, match=r"robot_radius of the data: expected None.* got 0\.3"
     ):
-        CFMTrainer(CONFIG, more, tmp_path)
+        run(data=more)
 
 
-def test_another_weight_decay_is_that_of_the_rest_of_the_run(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    CFMTrainer(replace(CONFIG, steps=1), tiny_dataset, tmp_path).fit()
-    resumed = CFMTrainer(replace(CONFIG, weight_decay=0.5), tiny_dataset, tmp_path)
+def test_another_weight_decay_is_that_of_the_rest_of_the_run(run: Run) -> None:
+    run(steps=1).fit()
+    resumed = run(weight_decay=0.5)
     assert [group["weight_decay"] for group in resumed.optimiser.param_groups] == [0.5]
 
 
 def test_a_step_that_was_interrupted_leaves_no_gradient(
-    tiny_dataset: SceneDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = replace(CONFIG, steps=2, accumulate=2)
-    whole = CFMTrainer(config, tiny_dataset, tmp_path / "whole")
+    whole, cut = (run(name, steps=2, accumulate=2) for name in ("whole", "cut"))
     whole.fit()
-    cut = CFMTrainer(config, tiny_dataset, tmp_path / "cut")
     loss = cut._loss
 
     def interrupted(batch: Batch, part: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
@@ -191,30 +172,26 @@ def test_a_step_that_was_interrupted_leaves_no_gradient(
         with pytest.raises(KeyboardInterrupt):
             cut.fit()
     cut.fit()
-    norms = [[row["gradient_norm"] for row in run.curve] for run in (whole, cut)]
+    norms = [[row["gradient_norm"] for row in each.curve] for each in (whole, cut)]
     np.testing.assert_allclose(*norms, rtol=1e-4)
 
 
-def test_the_checkpoint_holds_the_whole_configuration(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
-    config = replace(CONFIG, steps=1, evaluation=EvaluationConfig(held_out=1, samples=3))
-    run = CFMTrainer(config, tiny_dataset, tmp_path)
-    run.fit()
-    saved = load_checkpoint(run.checkpoint_path)
-    assert saved.config == asdict(config)
+def test_the_checkpoint_holds_the_whole_configuration(run: Run) -> None:
+    finished = run(steps=1, evaluation=EvaluationConfig(held_out=1, samples=3))
+    finished.fit()
+    saved = load_checkpoint(finished.checkpoint_path)
+    assert saved.config == asdict(finished.config)
     assert [row["step"] for row in saved.evaluations] == [1]
 
 
-def test_tensorboard_shows_each_step_of_a_resumed_run_once(
-    tiny_dataset: SceneDataset, tmp_path: Path
-) -> None:
+def test_tensorboard_shows_each_step_of_a_resumed_run_once(run: Run) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    config = replace(CONFIG, steps=5, checkpoint_every=2, tensorboard=True)
-    fit_until(CFMTrainer(config, tiny_dataset, tmp_path), 4)
+    drawn = {"steps": 5, "checkpoint_every": 2, "tensorboard": True}
+    fit_until(run(**drawn), 4)
     # The next file's name holds the second in which it was opened.
     time.sleep(1.1)
-    CFMTrainer(config, tiny_dataset, tmp_path).fit()
-    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
+    resumed = run(**drawn)
+    resumed.fit()
+    events = EventAccumulator(str(resumed.out / "tensorboard")).Reload()
     assert [event.step for event in events.Scalars("train/loss")] == [1, 2, 3, 4, 5]

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 import torch
 from drawn_bend import drawn as told
-from driven_bend import bend, write_bends
+from driven_bend import bend
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import Tensor
+from training_runs import changed_since, copied_weights, descended, fit_until
 
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
@@ -118,16 +119,9 @@ def test_each_stage_reaches_its_own_weights_and_no_others(stage: str) -> None:
 @pytest.mark.parametrize("stage", ["imitation", "scorers"])
 def test_steps_make_every_term_smaller(stage: str) -> None:
     loss_of, given = objective(stage, rank=1.0, occupancy=1.0), batch()
-    draws = drawn_for(loss_of)
-    optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
-    first = terms = loss_of(given, *draws)[1]
-    for _ in range(40):
-        loss, terms = loss_of(given, *draws)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
+    first, *_, last = descended(loss_of, given, drawn_for(loss_of))
     for name in TERMS[stage]:
-        assert terms[name] < first[name], name
+        assert last[name] < first[name], name
 
 
 def scored(loss_of: DiffusionDriveObjective, name: str) -> list[tuple[Any, ...]]:
@@ -180,15 +174,8 @@ def test_which_candidate_would_be_driven_is_learnt_from_windows_as_recorded() ->
     loss_of, given = DiffusionDriveObjective(model, settings, judge), batch()
     *draws, change = drawn_for(loss_of)
     change[:, 3] = torch.tensor([0.1, 0.9])  # the first begins at another speed
-    optimiser = torch.optim.AdamW(loss_of.parameters(), 3e-3)
-    losses = []
-    for _ in range(40):
-        loss, terms = loss_of(given, *draws, change)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        losses.append(float(terms["imitation"].detach()))
-    assert losses[-1] < losses[0] - 0.05
+    first, *_, last = descended(loss_of, given, (*draws, change))
+    assert last["imitation"] < first["imitation"] - 0.05
     term = loss_of(given, *draws, change)[1]["imitation"]
     for window, changes in enumerate((False, True)):
         elsewhere = {**given, "future": given["future"].clone()}
@@ -356,11 +343,6 @@ CONFIG = DiffusionDriveRunConfig(
 )
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bends(tmp_path_factory.mktemp("bends"), count=2)
-
-
 @pytest.fixture
 def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
     monkeypatch.setattr(sensor_windows, "simulated", told)
@@ -392,29 +374,23 @@ def test_the_stages_follow_one_another_and_go_on_where_they_stopped(
     whole.fit()
     assert whole.model.anchors.abs().max() > 1  # clustered from what was driven
     cut = DiffusionDriveRun(CONFIG, logs, tmp_path / "cut")
-    with pytest.raises(InterruptedError):
-        cut.fit(report=_stop_after_the_checkpoint)
+    fit_until(cut, 3)
     again = DiffusionDriveRun(CONFIG, logs, tmp_path / "cut")
     assert again.step == 2
     again.fit()
-    for name, weight in whole.model.state_dict().items():
-        torch.testing.assert_close(again.model.state_dict()[name], weight, rtol=0, atol=0)
+    weights = again.model.state_dict(), whole.model.state_dict()
+    torch.testing.assert_close(*weights, rtol=0, atol=0)
 
     before = tmp_path / "imitation" / "checkpoint.pt"
     for stage in STAGES[1:]:
         settings = replace(CONFIG.objective, stage=stage)
         config = replace(CONFIG, objective=settings, before=str(before))
         run = DiffusionDriveRun(config, logs, tmp_path / stage)
-        start = {name: weight.clone() for name, weight in run.model.state_dict().items()}
-        for name, weight in restore_model(load_checkpoint(before)).state_dict().items():
-            torch.testing.assert_close(start[name], weight, rtol=0, atol=0)
+        start, saved = copied_weights(run.model), restore_model(load_checkpoint(before))
+        torch.testing.assert_close(start, {**saved.state_dict()}, rtol=0, atol=0)
         run.fit()
-        changed = {
-            name.split(".")[0]
-            for name, weight in run.model.state_dict().items()
-            if not torch.equal(weight, start[name])
-        }
-        assert changed == LEARNS[stage]
+        changed = changed_since(start, run.model)
+        assert {name.split(".")[0] for name in changed} == LEARNS[stage]
         row = run.evaluations[-1]
         best = row["pdms_of_the_best"]
         assert 0 <= row["success"] <= best <= 1
@@ -449,11 +425,6 @@ def test_two_processes_learn_a_stage_that_does_not_ask_all_weights(
 
     assert answer.returncode == 0, answer.stderr
     assert load_checkpoint(tmp_path / "checkpoint.pt").step == CONFIG.steps
-
-
-def _stop_after_the_checkpoint(at: int, _row: object) -> None:
-    if at == 3:
-        raise InterruptedError
 
 
 @pytest.mark.parametrize(

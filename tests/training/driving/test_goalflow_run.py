@@ -4,25 +4,31 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from driven_bend import write_bends
+from training_runs import changed_since, copied_weights
 
+from anchorflow_client.contract.batch import beside_route
+from anchorflow_client.sensors import route_ahead
+from anchorflow_driving.log import read_log
+from anchorflow_driving.pdm import PdmScorer
+from anchorflow_driving.window import Scenes
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.config import PACES
 from anchorflow_training.batches import SampledBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
-from anchorflow_training.driving.goalflow_objective import (
-    GoalFlowObjective,
-    GoalFlowObjectiveConfig,
-)
+from anchorflow_training.driving.goalflow_objective import GoalFlowObjectiveConfig
 from anchorflow_training.driving.goalflow_run import (
     GoalFlowRun,
     GoalFlowRunConfig,
 )
-from anchorflow_training.driving.windows import DrivingWindows, open_windows
+from anchorflow_training.driving.log_cache import open_logs
+from anchorflow_training.driving.proposals import PER_WAY, proposals
+from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.planners import TRAININGS
 from anchorflow_training.settings import ConfigError
 
@@ -30,18 +36,15 @@ CONFIG = GoalFlowRunConfig(
     steps=2,
     warmup=0,
     report_every=1,
+    checkpoint_every=1,
     tensorboard=False,
     accelerator="cpu",
+    learning_rate=3e-3,
     batch=SampledBatchConfig(scenes=3, samples=4),
     evaluation=HeldOutConfig(held_out=1, scenes=1),
     model=GoalFlowConfig(goals=16, picked=5, width=32, channels=8, feature_channels=4),
     objective=GoalFlowObjectiveConfig(scored=12),
 )
-
-
-@pytest.fixture(scope="module")
-def windows(tmp_path_factory: pytest.TempPathFactory) -> DrivingWindows:
-    return open_windows(write_bends(tmp_path_factory.mktemp("bends"), count=2))
 
 
 def test_it_is_trained_by_its_name_on_the_raster_that_is_drawn(windows: DrivingWindows) -> None:
@@ -102,32 +105,115 @@ def test_the_vocabulary_lies_where_the_data_end(windows: DrivingWindows, tmp_pat
     assert abs(goals[:, 1].mean()) < 2.0
 
 
-def test_it_learns(windows: DrivingWindows, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def before(windows: DrivingWindows, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("flow")
+    GoalFlowRun(CONFIG, windows, out).fit()
+    return out / "checkpoint.pt"
+
+
+@pytest.fixture
+def config(before: Path) -> GoalFlowRunConfig:
+    return replace(
+        CONFIG,
+        before=str(before),
+        model=replace(CONFIG.model, outcomes=True),
+        objective=replace(CONFIG.objective, stage="outcomes"),
+    )
+
+
+def test_proposals_are_judged_by_the_scorer_and_kept(
+    windows: DrivingWindows, before: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs, model = open_logs(windows.path), restore_model(load_checkpoint(before))
+    made = proposals(logs, model)
+    count = model.config.ways + (PER_WAY - 1) * (model.config.picked + 1)
+    assert made.trajectories.shape == (len(windows), count, 8, 3)
+    window = Scenes(read_log(logs[0]))[0]
+    route = route_ahead(window.view.route.points)
+    strays = beside_route(made.trajectories[0, :, -1, :2], route)
+    assert (strays < 0.5).sum() >= len(PACES)  # some were drawn along it
+    wanted = PdmScorer(window).score(made.trajectories[0].astype(float)).sub_scores
+    np.testing.assert_allclose(made.scores[0], wanted, atol=1e-3)
+    assert np.ptp(made.trajectories[0], axis=0).max() > 1  # they differ
+
+    monkeypatch.setattr("anchorflow_training.driving.proposals.drawn", None)
+    again = proposals(logs, model)
+    np.testing.assert_array_equal(again.trajectories, made.trajectories)
+
+
+def test_the_scorer_alone_learns_and_goes_on_where_it_stopped(
+    windows: DrivingWindows, config: GoalFlowRunConfig, before: Path, tmp_path: Path
+) -> None:
+    whole = GoalFlowRun(config, windows, tmp_path / "whole")
+    start = copied_weights(whole.model)
+    whole.fit()
+    changed = changed_since(start, whole.model)
+    assert changed
+    assert all(name.startswith("outcomes.") for name in changed)
+    for name, weight in load_checkpoint(before).average.items():
+        torch.testing.assert_close(whole.model.state_dict()[name], weight, rtol=0, atol=0)
+    row = whole.evaluations[-1]
+    assert 0 <= row["success"] <= row["best_pdms"] <= 1
+
+    GoalFlowRun(replace(config, steps=1), windows, tmp_path / "cut").fit()
+    cut = load_checkpoint(tmp_path / "cut" / "checkpoint.pt")
+    assert cut.step == 1
+    again = GoalFlowRun(config, windows, tmp_path / "cut")
+    again.fit()
+    assert again.step == config.steps
+    restored = restore_model(load_checkpoint(tmp_path / "whole" / "checkpoint.pt"))
+    assert isinstance(restored, GoalFlow)
+    assert restored.outcomes is not None
+
+
+@pytest.mark.parametrize("stage", ["flow", "outcomes"])
+def test_it_learns(
+    stage: str, windows: DrivingWindows, config: GoalFlowRunConfig, tmp_path: Path
+) -> None:
     torch.manual_seed(0)
-    run = GoalFlowRun(replace(CONFIG, steps=1000, learning_rate=3e-3), windows, tmp_path)
+    config = replace({"flow": CONFIG, "outcomes": config}[stage], steps=1000)
+    run = GoalFlowRun(config, windows, tmp_path)
     batch = run.batch(0)
     losses = [run.train_step([batch])["loss"].item() for _ in range(25)]
-
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
 
 
-def test_a_raster_moves_with_its_start() -> None:
-    model = GoalFlow(GoalFlowConfig(goals=16, picked=5, channels=8))
-    objective = GoalFlowObjective(model, GoalFlowObjectiveConfig(scored=12))
-    bev = torch.zeros(2, 20, 192, 128, dtype=torch.uint8)
-    bev[:, 0, 100, 60] = 255  # 29.75 m ahead, 1.75 m to the left
-    moved = objective.moved(bev, torch.tensor([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-
-    assert moved[0, 0, 100, 60] == 255
-    # Who stands 1 m to the left sees it two cells further to the right.
-    assert moved[1, 0, 100, 62].item() == pytest.approx(255, rel=0.01)
-    turned = objective.moved(bev, torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1]]))[1, 0]
-    row, column = divmod(int(turned.argmax()), 128)
-    x, y = 80 - 0.5 * (row + 0.5), 32 - 0.5 * (column + 0.5)
-    assert (x, y) == pytest.approx((29.6 + 0.17, 1.74 - 2.97), abs=0.4)
+def test_a_reflected_window_has_its_proposals_reflected(
+    windows: DrivingWindows, config: GoalFlowRunConfig, tmp_path: Path
+) -> None:
+    always = replace(config.augmentation, mirror=1.0)
+    never = replace(config.augmentation, mirror=0.0)
+    mirrored = GoalFlowRun(replace(config, augmentation=always), windows, tmp_path / "a").batch(0)
+    plain = GoalFlowRun(replace(config, augmentation=never), windows, tmp_path / "b").batch(0)
+    signs = np.array([1, -1, -1], np.float32)
+    np.testing.assert_array_equal(mirrored["trajectories"], plain["trajectories"] * signs)
+    np.testing.assert_array_equal(mirrored["bev"][:, 0], plain["bev"][:, 0, :, ::-1])
+    np.testing.assert_array_equal(mirrored["scores"], plain["scores"])
 
 
-def test_too_few_windows_are_named(windows: DrivingWindows, tmp_path: Path) -> None:
-    config = replace(CONFIG, batch=SampledBatchConfig(scenes=64, samples=4))
-    with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, the windows of"):
-        GoalFlowRun(config, windows, tmp_path)
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"before": None}, "before: expected a checkpoint to begin outcomes with"),
+        ({"vocabulary": "goals.npy"}, "vocabulary: expected none beside before.* got goals"),
+        ({"model": CONFIG.model}, r"model\.outcomes: expected true in the stage outcomes"),
+        (
+            {"model": replace(CONFIG.model, outcomes=True, width=64)},
+            r"expected model\.width 64, got 32",
+        ),
+        (
+            {"batch": SampledBatchConfig(scenes=64, samples=4)},
+            r"batch.scenes: expected at most \d+, the windows of",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_named(
+    changed: dict[str, Any],
+    said: str,
+    windows: DrivingWindows,
+    config: GoalFlowRunConfig,
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        GoalFlowRun(replace(config, **changed), windows, tmp_path)

@@ -10,13 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from driven_bend import write_bends
+from numpy.typing import NDArray
 
+from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes
-from anchorflow_training.driving.log_cache import log_arrays, open_logs
+from anchorflow_training.driving.log_cache import log_arrays, open_logs, write_arrays
 from anchorflow_training.driving.pdm_judge import PdmJudge
+
+
+@pytest.fixture(scope="module")
+def logs(folder: Path) -> list[Path]:
+    return [*open_logs(folder)]
 
 
 def numbered(log: Path) -> dict[str, np.ndarray]:
@@ -46,12 +52,67 @@ def test_a_process_that_may_use_one_core_has_one_worker(tmp_path: Path) -> None:
     assert max(workers) == 1
 
 
+def named(log: Path) -> dict[str, np.ndarray]:
+    return {"zeros": np.zeros(100), "name": np.frombuffer(log.stem.encode(), np.uint8)}
+
+
+def kept_beside(logs: list[Path]) -> list[Path]:
+    """Make what is missing; return the files."""
+    assert len([*log_arrays(logs, ".made", named)]) == len(logs)
+    return [log.with_suffix(".made") for log in logs]
+
+
+def test_arrays_are_made_once_and_again_where_the_log_is_newer(logs: list[Path]) -> None:
+    before = [path.stat().st_mtime_ns for path in kept_beside(logs)]
+    newer = before[1] / 1e9 + 5
+    os.utime(logs[1], (newer, newer))
+    told: list[tuple[int, int]] = []
+    made = log_arrays(logs, ".made", named, progress=lambda *done: told.append(done))
+    assert [bytes(arrays["name"]).decode() for arrays in made] == [log.stem for log in logs]
+    assert told == [(1, 2), (2, 2)]
+    after = [log.with_suffix(".made").stat().st_mtime_ns for log in logs]
+    assert after[0] == before[0]
+    assert after[1] > before[1]
+
+
+def test_what_was_cut_off_is_made_anew_and_what_is_damaged_named(logs: list[Path]) -> None:
+    file, whole = kept_beside(logs)[0], kept_beside(logs)[0].read_bytes()
+    for cut_off in (b"", b"PK, but cut off", whole[: len(whole) // 2]):
+        file.write_bytes(cut_off)
+        kept_beside(logs)
+        assert len(file.read_bytes()) == len(whole)
+    # Damage in an array, and in its name in the directory at the end.
+    at_end = whole.rindex(b"zeros.npy")
+    for place, found in ((200, "Bad CRC"), (at_end, "header b'zeros.npy' differ")):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(LogError, match=f"{file}: file: expected an .npz .*, found .*{found}"):
+            kept_beside(logs)
+    file.unlink()
+    kept_beside(logs)
+
+
+class Interrupted:
+    """An array whose reader is stopped."""
+
+    def __array__(self, *_: object, **__: object) -> NDArray[np.float64]:
+        raise KeyboardInterrupt
+
+
+def test_what_cannot_be_kept_leaves_no_draft(tmp_path: Path) -> None:
+    kept = tmp_path / "a.made"
+    write_arrays(kept, {"scores": np.ones(3)})
+    draft = tmp_path / f"{kept.name}.{os.getpid()}"
+    draft.symlink_to("/dev/full")
+    with pytest.raises(LogError, match=f"{kept}: file: expected a place to write, .*No space"):
+        write_arrays(kept, {"scores": np.zeros(30_000)})
+    with pytest.raises(KeyboardInterrupt):
+        write_arrays(kept, {"scores": np.zeros(3), "more": Interrupted()})  # type: ignore[dict-item]
+    assert [*tmp_path.iterdir()] == [kept]
+    with np.load(kept) as arrays:
+        assert arrays["scores"].tolist() == [1, 1, 1]
+
+
 T = 8
-
-
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return [*open_logs(write_bends(tmp_path_factory.mktemp("bends"), count=2))]
 
 
 def test_the_judge_is_the_scorer_of_each_window(logs: list[Path]) -> None:

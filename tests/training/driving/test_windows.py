@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from driven_bend import SPEED, bend, write_bends
-from numpy.typing import NDArray
+from driven_bend import SPEED, bend
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
@@ -18,19 +16,8 @@ from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
 from anchorflow_training.driving.anchors import clustered, read_points
 from anchorflow_training.driving.augmentation import AugmentationConfig, disturbed, poses_on
-from anchorflow_training.driving.log_cache import write_arrays
-from anchorflow_training.driving.windows import KEPT, SPACING, DrivingWindows, open_windows
+from anchorflow_training.driving.windows import SPACING, DrivingWindows, open_windows
 from anchorflow_training.settings import ConfigError
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_bends(tmp_path_factory.mktemp("bends"), count=2)
-
-
-@pytest.fixture(scope="module")
-def windows(folder: Path) -> DrivingWindows:
-    return open_windows(folder)
 
 
 def test_what_is_kept_is_what_a_planner_is_shown(windows: DrivingWindows) -> None:
@@ -54,59 +41,6 @@ def test_the_course_is_what_was_driven(windows: DrivingWindows) -> None:
     np.testing.assert_allclose(poses_on(course, along)[:, 2], driven[:, 2], atol=0.03)
     # It follows the route evenly beyond the record.
     np.testing.assert_allclose(np.linalg.norm(np.diff(course, axis=0), axis=1), SPACING, rtol=0.05)
-
-
-@pytest.mark.parametrize("kept", [b"", b"PK, but cut off"])
-def test_what_was_cut_off_is_drawn_anew(kept: bytes, folder: Path, windows: DrivingWindows) -> None:
-    file = sorted(folder.glob(f"*{KEPT}"))[0]
-    file.write_bytes(kept)
-    assert len(open_windows(folder)) == len(windows)
-
-
-def test_what_is_kept_and_damaged_is_named(folder: Path, windows: DrivingWindows) -> None:
-    file = sorted(folder.glob(f"*{KEPT}"))[0]
-    whole = file.read_bytes()
-    # Damage in an array, and in its name in the directory at the end.
-    for place, found in ((200, "Bad CRC"), (whole.rindex(b"bev.npy"), "header b'bev.npy' differ")):
-        file.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(LogError, match=f"{file}: file: expected an .npz .*, found .*{found}"):
-            open_windows(folder)
-    file.unlink()
-    assert len(open_windows(folder)) == len(windows)
-
-
-class Interrupted:
-    """An array whose reader is stopped."""
-
-    def __array__(self, *_: object, **__: object) -> NDArray[np.float64]:
-        raise KeyboardInterrupt
-
-
-def test_what_cannot_be_kept_leaves_no_draft(tmp_path: Path) -> None:
-    kept = tmp_path / f"a{KEPT}"
-    write_arrays(kept, {"scores": np.ones(3)})
-    draft = tmp_path / f"{kept.name}.{os.getpid()}"
-    draft.symlink_to("/dev/full")
-    with pytest.raises(LogError, match=f"{kept}: file: expected a place to write, .*No space"):
-        write_arrays(kept, {"scores": np.zeros(30_000)})
-    with pytest.raises(KeyboardInterrupt):
-        write_arrays(kept, {"scores": np.zeros(3), "more": Interrupted()})  # type: ignore[dict-item]
-    assert [*tmp_path.iterdir()] == [kept]
-    with np.load(kept) as arrays:
-        assert arrays["scores"].tolist() == [1, 1, 1]
-
-
-def test_a_log_is_drawn_once_and_again_when_it_changes(folder: Path) -> None:
-    kept = sorted(folder.glob(f"*{KEPT}"))
-    before = [path.stat().st_mtime_ns for path in kept]
-    open_windows(folder)
-    assert [path.stat().st_mtime_ns for path in kept] == before
-
-    newer = kept[0].stat().st_mtime + 5
-    os.utime(kept[0].with_suffix(".npz"), (newer, newer))
-    open_windows(folder)
-    assert kept[0].stat().st_mtime_ns != before[0]
-    assert kept[1].stat().st_mtime_ns == before[1]
 
 
 def test_a_folder_without_logs_is_named(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from tiny_wote import TINY, sensors, tiny_wote
 from torch import Tensor
+from training_runs import descended
 
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.driving.losses import (
@@ -97,17 +98,11 @@ def test_steps_make_every_term_smaller() -> None:
     model, given = tiny_wote().train(), batch()
     objective = WoteObjective(model, WoteObjectiveConfig(occupancy=1.0))
     drawn = objective.draw(2, 1, torch.Generator().manual_seed(0))
-    optimiser = torch.optim.AdamW(model.parameters(), 3e-3)
-    first = terms = objective(given, *drawn)[1]
-    for _ in range(120):
-        loss, terms = objective(given, *drawn)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
+    first, *_, last = descended(objective, given, drawn, steps=120)
     # Random numbers say nothing of what soft labels and rewards could fall to.
     for name in first:
-        assert terms[name] < first[name], name
-    assert terms["offset"] < 0.5 * first["offset"]
+        assert last[name] < first[name], name
+    assert last["offset"] < 0.5 * first["offset"]
 
 
 def test_some_anchors_are_judged_the_nearest_first() -> None:
