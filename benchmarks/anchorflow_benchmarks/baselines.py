@@ -9,13 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.planners import (
-    NUM_SAMPLES,
-    Planner,
-    Proposals,
-    driven_along,
-    limits_of,
-)
+from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, Proposals, driven_along, limits_of
 from anchorflow_service.bundle import Bundle
 from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
@@ -182,10 +176,6 @@ def finished(
     return Proposals(position, velocity, acceleration, dt, refined.safe, scores)
 
 
-def _expert(_: Bundle, limits: MotionLimits) -> list[Planner]:
-    return [ExpertPlanner(limits, steps) for steps in EXPERT_STEPS]
-
-
 def _lines(bundle: Bundle, limits: MotionLimits) -> list[Planner]:
     lines, finish = LinesPlanner(limits), bundle.manifest.finish
     refined = [RefinedLinesPlanner(lines, finish)] if isinstance(finish, SplineEntry) else []
@@ -207,7 +197,7 @@ def _rrt(_: Bundle, limits: MotionLimits) -> list[Planner]:
 
 
 BASELINES: dict[str, Callable[[Bundle, MotionLimits], list[Planner]]] = {
-    "expert": _expert,
+    "expert": lambda _, limits: [ExpertPlanner(limits, steps) for steps in EXPERT_STEPS],
     "lines": _lines,
     "routes": _routes,
     "rrt": _rrt,

@@ -26,7 +26,8 @@ def draw_scene_sheet(plans: Sequence[JudgedPlan], path: Path, *, title: str) -> 
 
     Successes are blue, failures red. Raises `BenchmarkError` if `path` cannot be written.
     """
-    panels = [panel for family in _families(plans) for panel in _telling(plans, family)]
+    families = sorted({plan.scene.family for plan in plans})
+    panels = [panel for family in families for panel in _telling(plans, family)]
     figure, axes = sheet(len(panels), columns=COLUMNS, inches=PANEL_INCHES, header=0.4)
     for place, (label, plan) in zip(axes, panels, strict=True):
         _draw_plan(place, plan, label)
@@ -81,10 +82,6 @@ def draw_cost_over_time(tables: Sequence[ResultTable], path: Path) -> None:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     _save(figure, path)
-
-
-def _families(plans: Sequence[JudgedPlan]) -> list[str]:
-    return sorted({plan.scene.family for plan in plans})
 
 
 def _telling(plans: Sequence[JudgedPlan], family: str) -> list[tuple[str, JudgedPlan]]:

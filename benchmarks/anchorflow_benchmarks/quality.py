@@ -8,7 +8,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -127,7 +126,7 @@ def quality_tables(planners: Sequence[Planner], plans: Plans) -> list[ResultTabl
         "Scenes with a choice of routes": lambda plan: plan.verdict.routes > 1,
     }
     if len(families) > 1:
-        titles |= {f"Family {name}": partial(_is_of_family, name) for name in families}
+        titles |= {f"Family {n}": lambda plan, n=n: plan.scene.family == n for n in families}
     tables = []
     for title, chosen in titles.items():
         of = [[plan for plan in plans[planner.name] if chosen(plan)] for planner in planners]
@@ -287,10 +286,6 @@ def _scales(text: str) -> list[float]:
     for scale in scales:
         number(scale, "refine.guidance", GUIDANCE)
     return scales
-
-
-def _is_of_family(family: str, plan: JudgedPlan) -> bool:
-    return plan.scene.family == family
 
 
 def _total(values: np.ndarray) -> int | None:

@@ -133,6 +133,8 @@ def generate(
             barrier_rate=barrier_rate,
         )
         model = restore_flow(saved)
+        if robot_radius is None:
+            robot_radius = saved.data.get("robot_radius", DEFAULT_ROBOT_RADIUS)
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
             seen.occupancy[None],
@@ -141,7 +143,7 @@ def generate(
             style,
             resolution=seen.resolution,
             origin=seen.origin,
-            robot_radius=_robot_radius(saved) if robot_radius is None else robot_radius,
+            robot_radius=robot_radius,
             motion=_motion(saved, v_max=v_max, a_max=a_max, horizon_s=horizon),
             seed=seed,
         )
@@ -217,11 +219,6 @@ def _answer(
     return AnchorBatch(
         arrays=arrays, dt=dt, seed=seed, model=model, timing_ms={"total": milliseconds}
     )
-
-
-def _robot_radius(saved: Checkpoint) -> float:
-    """m, of the robot that the run's data were imported with."""
-    return saved.data.get("robot_radius", DEFAULT_ROBOT_RADIUS)
 
 
 def _motion(

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_driving.errors import UNREADABLE, LogError
+from anchorflow_driving.geometry import Array
 from anchorflow_driving.route import SAME_POINT, without_repeats
 
 FRAME_S = 0.1
@@ -34,7 +35,7 @@ COMMANDS = ("left", "straight", "right")
 SIMULATED, DRIVEN = "simulated", "driven"
 """`source` of simulated traffic, and of what a planner under test drove in it."""
 
-Polylines = tuple[NDArray[np.float64], ...]
+Polylines = tuple[Array, ...]
 """Each [V, 2]."""
 
 POLYGONS = ("lane", "drivable", "crosswalk")
@@ -135,7 +136,7 @@ class DrivingLog:
         offsets = getattr(self, f"{family}_offsets").tolist()
         return tuple(points[begin:end] for begin, end in pairwise(offsets))
 
-    def route(self, window: int) -> NDArray[np.float64]:
+    def route(self, window: int) -> Array:
         """[V, 2]"""
         begin, end = self.route_offsets[window : window + 2]
         return self.route_points[begin:end].astype(np.float64)
@@ -316,9 +317,7 @@ def _shape(axes: tuple[str | int, ...]) -> str:
     return f"[{', '.join(map(str, axes))}]"
 
 
-def line_fields(
-    name: str, lines: Sequence[NDArray[np.float64]], *, mirror: float = 1.0
-) -> dict[str, Any]:
+def line_fields(name: str, lines: Sequence[Array], *, mirror: float = 1.0) -> dict[str, Any]:
     """`NAME_points` and `NAME_offsets` of polylines [V, 2]; y is multiplied by `mirror`."""
     offsets = np.cumsum([0, *(len(line) for line in lines)]).astype(np.int32)
     points = np.concatenate([*lines, np.zeros((0, 2))]) * [1.0, mirror]
@@ -330,7 +329,7 @@ def window_fields(
     frames: ArrayLike,
     commands: ArrayLike,
     limits: ArrayLike,
-    routes: Sequence[NDArray[np.float64]],
+    routes: Sequence[Array],
 ) -> dict[str, Any]:
     """Return a log's fields of W windows."""
     return {
@@ -345,23 +344,46 @@ def window_fields(
 NO_WINDOWS = window_fields([], [], [], [], [])
 
 
-def map_fields(
-    families: Mapping[str, Sequence[NDArray[np.float64]]],
-    *,
-    in_junction: Sequence[bool],
-    edges: Sequence[tuple[int, int]],
-    solid: Sequence[bool],
-    mirror: float = 1.0,
-) -> dict[str, Any]:
-    """Return a log's fields of a map: polylines by family, and attributes of lanes and lines."""
-    fields: dict[str, Any] = {}
-    for name, lines in families.items():
-        fields |= line_fields(name, lines, mirror=mirror)
-    return fields | {
-        "lane_intersection": np.array(in_junction, bool),
-        "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
-        "line_solid": np.array(solid, bool),
-    }
+@dataclass(frozen=True, eq=False)
+class Lane:
+    name: str
+    polygon: Array  # [V, 2]
+    centre: Array  # [V, 2] in driving direction
+    successors: Sequence[str]  # names; those of no lane are left out
+    in_junction: bool
+
+
+@dataclass(frozen=True, eq=False)
+class RoadMap:
+    lanes: Sequence[Lane]
+    drivable: Sequence[Array]  # rings; inside an odd number of them one may drive
+    crosswalks: Sequence[Array]
+    lines: Sequence[tuple[Array, bool]]  # painted lines, and whether they are solid
+
+    def fields(self, *, origin: Array | float = 0.0, mirror: float = 1.0) -> dict[str, Any]:
+        """Return a log's fields: `origin` becomes (0, 0), y is multiplied by `mirror`."""
+        number = {lane.name: index for index, lane in enumerate(self.lanes)}
+        edges = [
+            (number[lane.name], number[after])
+            for lane in self.lanes
+            for after in lane.successors
+            if after in number
+        ]
+        families = {
+            "lane": [lane.polygon for lane in self.lanes],
+            "centre": [lane.centre for lane in self.lanes],
+            "drivable": self.drivable,
+            "crosswalk": self.crosswalks,
+            "line": [line for line, _ in self.lines],
+        }
+        found: dict[str, Any] = {
+            "lane_intersection": np.array([lane.in_junction for lane in self.lanes], bool),
+            "lane_edges": np.array(edges, np.int32).reshape(-1, 2),
+            "line_solid": np.array([solid for _, solid in self.lines], bool),
+        }
+        for name, lines in families.items():
+            found |= line_fields(name, [line - origin for line in lines], mirror=mirror)
+        return found
 
 
 def track_fields(

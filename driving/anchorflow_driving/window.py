@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,10 @@ class PlannerView:
 
     def polylines(self, family: str) -> Polylines:
         """The map's lanes, centres, drivable rings, crosswalks or lines."""
-        return tuple(into_frame(line, self.state.pose) for line in self.log_polylines[family])
+        lines = self.log_polylines[family]
+        moved = into_frame(np.concatenate([*lines, np.zeros((0, 2))]), self.state.pose)
+        ends = np.cumsum([0, *(len(line) for line in lines)]).tolist()
+        return tuple(moved[begin:end] for begin, end in pairwise(ends))
 
 
 class Scenes:
@@ -134,7 +138,8 @@ class Window:
     @cached_property
     def state(self) -> EgoState:
         """Return the ego now, its rates by central differences: the start of the score."""
-        return self._state(self.frame - 1, self.frame + 1)
+        now = self.frame
+        return _moving(self._ego_track, self.vehicle, now=now, before=now - 1, after=now + 1)
 
     @cached_property
     def route(self) -> Route:
@@ -160,16 +165,10 @@ class Window:
         frames = self.frame + np.rint(np.asarray(times) / FRAME_S).astype(int)
         poses = np.full((len(frames), 3), np.nan)
         known = frames < len(self._ego_track)
-        axle = self._axle(frames[known])
+        axle = ahead_of(self._ego_track[frames[known], :3], -self.vehicle.rear_axle)
         poses[known] = into_frame(axle, self.state.pose)
         poses[known, 2] = wrap_angle(poses[known, 2])
         return poses
-
-    def _axle(self, frames: NDArray[np.int_] | int) -> Array:
-        return ahead_of(self._ego_track[frames, :3], -self.vehicle.rear_axle)
-
-    def _state(self, before: int, after: int) -> EgoState:
-        return _moving(self._ego_track, self.vehicle, now=self.frame, before=before, after=after)
 
 
 def planner_view(

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from driven_bend import MADE
 
-from anchorflow_driving.log import VEHICLE, DrivingLog
+from anchorflow_driving.log import VEHICLE, DrivingLog, Lane, RoadMap, track_fields, window_fields
 from anchorflow_driving.window import Scenes, Window
 
 FRAMES, NOW = 80, 20
@@ -42,42 +43,26 @@ def straight_track(other: Other) -> np.ndarray:
 
 
 def rectangle(x0: float, y0: float, x1: float, y1: float) -> np.ndarray:
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], np.float32)
-
-
-def family(name: str, lines: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    offsets = np.concatenate([[0], np.cumsum([len(line) for line in lines])]).astype(np.int32)
-    points = np.concatenate([*lines, np.zeros((0, 2))]).astype(np.float32)
-    return {f"{name}_points": points, f"{name}_offsets": offsets}
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], np.float64)
 
 
 def street_fields(ego: Other, others: Sequence[Other] = (), **changed: Any) -> dict[str, Any]:
     everybody = [ego, *others]
-    centre = [np.array([[-100.0, y], [200.0, y]]) for y in (0.0, 4.0)]
-    fields = {
+    right, between, left = (np.array([[-100.0, y], [200.0, y]]) for y in (0.0, 2.0, 4.0))
+    lanes = [
+        Lane("right", rectangle(-100, -2, 200, 2), right, successors=(), in_junction=False),
+        Lane("left", rectangle(-100, 2, 200, 6), left, successors=(), in_junction=False),
+    ]
+    road = RoadMap(lanes, [rectangle(-100, -2, 200, 6)], [], [(between, False)])
+    states = np.stack([straight_track(each) for each in everybody])
+    return {
         "name": "street",
-        "source": "made",
-        "licence": "none",
-        "city": "nowhere",
-        "dt": 0.1,
-        "track_type": np.array([each.kind for each in everybody], np.uint8),
-        "track_size": np.array([each.size for each in everybody], np.float32),
-        "track_state": np.stack([straight_track(each) for each in everybody]).astype(np.float32),
-        **family("lane", [rectangle(-100, -2, 200, 2), rectangle(-100, 2, 200, 6)]),
-        "lane_intersection": np.zeros(2, bool),
-        "lane_edges": np.zeros((0, 2), np.int32),
-        **family("centre", centre),
-        **family("drivable", [rectangle(-100, -2, 200, 6)]),
-        **family("crosswalk", []),
-        **family("line", [np.array([[-100.0, 2.0], [200.0, 2.0]])]),
-        "line_solid": np.zeros(1, bool),
-        "window_ego": np.zeros(1, np.int32),
-        "window_frame": np.full(1, NOW, np.int32),
-        "window_command": np.ones(1, np.uint8),
-        "window_speed_limit": np.full(1, 10.0, np.float32),
-        **family("route", centre[:1]),
+        **MADE,
+        **track_fields([e.kind for e in everybody], [e.size for e in everybody], states),
+        **road.fields(),
+        **window_fields([0], [NOW], [1], [10.0], [right]),
+        **changed,
     }
-    return {**fields, **changed}
 
 
 @pytest.fixture(scope="session")

@@ -7,12 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from anchorflow_driving.log import DrivingLog, write_log
+from anchorflow_driving.log import (
+    VEHICLE,
+    DrivingLog,
+    Lane,
+    RoadMap,
+    track_fields,
+    window_fields,
+    write_log,
+)
 
 FRAMES, STRIDE = 90, 10
 SPEED, GAP = 8.0, 20.0
 SIZE = (4.6, 1.9)
 CURVATURES = (0.02, -0.012)
+MADE: dict[str, Any] = {"source": "made", "licence": "none", "city": "nowhere", "dt": 0.1}
 
 
 def bend(number: int, *, mirrored: bool = False) -> DrivingLog:
@@ -27,27 +36,17 @@ def bend(number: int, *, mirrored: bool = False) -> DrivingLog:
     count = len(frames)
     return DrivingLog(
         name=f"bend-{number}",
-        source="made",
-        licence="none",
-        city="nowhere",
-        dt=0.1,
-        track_type=np.zeros(2, np.uint8),
-        track_size=np.full((2, 2), SIZE, np.float32),
-        track_state=states.astype(np.float32),
-        **_family("lane", ring),
-        lane_intersection=np.zeros(1, bool),
-        lane_edges=np.zeros((0, 2), np.int32),
-        **_family("centre", centre),
-        **_family("drivable", ring),
-        **_family("crosswalk"),
-        **_family("line"),
-        line_solid=np.zeros(0, bool),
-        window_ego=np.zeros(count, np.int32),
-        window_frame=frames.astype(np.int32),
-        window_command=np.ones(count, np.uint8),
-        window_speed_limit=np.full(count, 10.0, np.float32),
-        **_family("route", *[centre] * count),
+        **MADE,
+        **track_fields([VEHICLE] * 2, [SIZE] * 2, states),
+        **one_lane(ring, centre),
+        **window_fields([0] * count, frames, [1] * count, [10.0] * count, [centre] * count),
     )
+
+
+def one_lane(polygon: np.ndarray, centre: np.ndarray) -> dict[str, Any]:
+    """A log's fields of a map with a lane that is all that may be driven on."""
+    lane = Lane("lane", polygon, centre, successors=(), in_junction=False)
+    return RoadMap([lane], [polygon], [], []).fields()
 
 
 def write_bends(folder: Path, *, count: int) -> Path:
@@ -67,9 +66,3 @@ def _states(curvature: float, way: np.ndarray) -> np.ndarray:
     poses = _arc(curvature, way)
     velocity = SPEED * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], -1)
     return np.concatenate([poses, velocity], -1)
-
-
-def _family(name: str, *lines: np.ndarray) -> dict[str, Any]:
-    offsets = np.cumsum([0, *map(len, lines)], dtype=np.int32)
-    points = np.concatenate([*lines, np.zeros((0, 2))]).astype(np.float32)
-    return {f"{name}_points": points, f"{name}_offsets": offsets}

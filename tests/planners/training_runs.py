@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import subprocess
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 import torch
@@ -20,6 +22,8 @@ from anchorflow_training.config import AnchorJudgeConfig, TrainerConfig
 from anchorflow_training.distillation.pairs import DistillConfig, TeacherConfig
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import Setting
+
+Run = TypeVar("Run", bound=TrainingRun)
 
 SMALL = L2Config(map_size=16, feature_channels=4)
 QUICK = TrainerConfig(
@@ -54,6 +58,21 @@ def fit_until(run: TrainingRun, last: int) -> None:
         run.fit(report)
 
 
+def resumed_and_whole(make: Callable[[str], Run]) -> tuple[Run, Run]:
+    """A run that is cut off in its third step and goes on from its second, and a whole one."""
+    fit_until(make("cut"), 3)
+    resumed, whole = make("cut"), make("whole")
+    assert resumed.step == 2
+    for run in (resumed, whole):
+        run.fit()
+    return resumed, whole
+
+
+def assert_same_weights(*models: nn.Module) -> None:
+    """To the bit."""
+    torch.testing.assert_close(*(copied_weights(model) for model in models), rtol=0, atol=0)
+
+
 def descended(
     objective: nn.Module,
     batch: Mapping[str, Tensor],
@@ -84,6 +103,17 @@ def changed_since(before: Mapping[str, Tensor], model: nn.Module) -> set[str]:
 
 def copied_weights(model: nn.Module) -> dict[str, Tensor]:
     return {name: weight.clone() for name, weight in model.state_dict().items()}
+
+
+def launched(folder: Path, *words: Any) -> str:
+    """Run a command as a program in a folder, which a launcher of processes can start once more."""
+    program = folder / "program.py"
+    program.write_text("from anchorflow_cli.main import main\n\nmain()\n")
+    answer = subprocess.run(
+        [sys.executable, program, *words], check=False, capture_output=True, text=True, timeout=300
+    )
+    assert answer.returncode == 0, answer.stderr
+    return answer.stdout
 
 
 def command(*words: Any) -> str:

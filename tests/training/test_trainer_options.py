@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from training_runs import launched
 
 from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.config import FlowMatchingConfig, TrainerConfig
@@ -145,23 +144,11 @@ def test_two_processes_see_what_two_accumulated_batches_see(
     words = ["--devices=2", "--accelerator=cpu", "--threads=1", "--steps=2", "--warmup=0"]
     words += ["--report-every=1", "--scenes=2", "--samples=4", "--no-tensorboard"]
     words += ["--model.map-size=16", "--model.feature-channels=4"]
-    # The launcher starts the program that it runs in once more, so it has to be a file.
-    program = tmp_path / "program.py"
-    program.write_text("from anchorflow_cli.main import main\n\nmain()\n")
-    out = tmp_path / "both"
-    answer = subprocess.run(
-        [sys.executable, str(program), "train", str(tiny_dataset.path), "--out", str(out), *words],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-
-    assert answer.returncode == 0, answer.stderr
+    told = launched(tmp_path, "train", tiny_dataset.path, "--out", tmp_path / "both", *words)
     both = make("both", accumulate=2)
     assert both.step == 2
     np.testing.assert_allclose(losses(both), losses(alone), rtol=1e-4)
-    assert answer.stdout.count("step 2 loss") == 1
+    assert told.count("step 2 loss") == 1
 
 
 def test_bfloat16_rounds_and_float32_does_not(base: CFMTrainer, fit: Make) -> None:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from training_runs import QUICK, fit_until
+from training_runs import QUICK, fit_until, resumed_and_whole
 
 from anchorflow_training.batches import Batch
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_model
@@ -94,13 +94,7 @@ def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
 
 def test_a_mean_that_spans_the_cut_is_that_of_an_uninterrupted_run(run: Run) -> None:
     often = {"steps": 6, "report_every": 3, "checkpoint_every": 2}
-    whole = run("whole", **often)
-    whole.fit()
-    fit_until(run("cut", **often), 3)
-    resumed = run("cut", **often)
-    assert resumed.step == 2
-    resumed.fit()
-
+    resumed, whole = resumed_and_whole(lambda name: run(name, **often))
     assert [row["step"] for row in resumed.curve] == [3, 6]
     for name in ("loss", "gradient_norm"):
         values = [[row[name] for row in each.curve] for each in (whole, resumed)]

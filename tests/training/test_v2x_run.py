@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 import torch
 from small_v2x import small_sizes
-from training_runs import changed_since, copied_weights, descended
+from training_runs import (
+    assert_same_weights,
+    changed_since,
+    copied_weights,
+    descended,
+    resumed_and_whole,
+)
 
 from anchorflow_driving.cooperative.crossings import draw_crossing
 from anchorflow_driving.cooperative.layout import write_recording
@@ -72,19 +78,11 @@ def run_with(pairs: PairDataset, config: V2XRunConfig, tmp_path: Path) -> Callab
 
 
 def test_a_run_that_stops_goes_on_as_if_it_had_not(
-    pairs: PairDataset, config: V2XRunConfig, tmp_path: Path
+    pairs: PairDataset, config: V2XRunConfig, run_with: Callable[..., V2XRun]
 ) -> None:
-    config = replace(config, model=replace(config.model, dropout=0.1))
-    whole = V2XRun(config, pairs, tmp_path / "whole")
-    whole.fit()
-    stopped = V2XRun(config, pairs, tmp_path / "parts")
-    stopped.run_config = replace(config, steps=2)
-    stopped.fit()
-    parts = V2XRun(config, pairs, tmp_path / "parts")
-    assert parts.step == 2
-    parts.fit()
-    then, now = whole.model.state_dict(), parts.model.state_dict()
-    assert all(torch.equal(then[name], now[name]) for name in then if name[0] != "_")
+    model = replace(config.model, dropout=0.1)
+    resumed, whole = resumed_and_whole(lambda name: run_with(name, model=model))
+    assert_same_weights(resumed.model, whole.model)
 
     saved = load_checkpoint(whole.checkpoint_path)
     assert {"loss", "regression", "alignment"} <= {*saved.curve[0]}

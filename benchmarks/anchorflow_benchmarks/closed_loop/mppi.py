@@ -74,8 +74,8 @@ class MppiController:
         limit = robot.control_limit
         self._held = HeldPlan(torch.zeros(config.steps, len(limit)))
         self._mppi = MPPI(
-            self._dynamics,
-            self._no_running_cost,
+            lambda state, control: robot.step(state, control, config.dt),
+            lambda state, _: torch.zeros(len(state)),  # `_cost` samples the map once for all steps
             robot.state_size,
             torch.diag((config.noise * limit) ** 2),
             num_samples=config.samples,
@@ -189,13 +189,6 @@ class MppiController:
             speed=config.cruise * self.robot.v_max,
             paces=paces,
         )
-
-    def _dynamics(self, state: Tensor, control: Tensor) -> Tensor:
-        return self.robot.step(state, control, self.config.dt)
-
-    def _no_running_cost(self, state: Tensor, _: Tensor) -> Tensor:
-        """Return zeros: `_cost` samples the map once for all steps."""
-        return torch.zeros(len(state))
 
     def _cost(self, states: Tensor, controls: Tensor) -> Tensor:
         """Return J [K] of motions [1, K, T, X] under [1, K, T, U], the package's terminal cost."""

@@ -69,7 +69,8 @@ class Unicycle:
     def steer(self, state: Tensor, carrot: Tensor, speed: Tensor, dt: float) -> Tensor:
         """Follow by pure pursuit (Coulter, 1992); far off course turn on the spot."""
         way = carrot - state[:, :2]
-        off = _wrapped(torch.atan2(way[:, 1], way[:, 0]) - state[:, 2])
+        course = torch.atan2(way[:, 1], way[:, 0]) - state[:, 2]
+        off = torch.remainder(course + pi, tau) - pi
         curvature = 2.0 * torch.sin(off) / way.norm(dim=1).clamp(min=0.05)
         bend_limit = (SIDE_ACCELERATION / (curvature.abs() + 1e-3)).sqrt()
         wanted = torch.minimum(speed, bend_limit) * torch.cos(off).clamp(min=0.0)
@@ -148,8 +149,3 @@ ROBOTS: dict[str, type[Robot]] = {
 
 def _within(control: Tensor, limit: Tensor) -> Tensor:
     return torch.maximum(torch.minimum(control, limit), -limit)
-
-
-def _wrapped(angle: Tensor) -> Tensor:
-    """Wrap to [-pi, pi)."""
-    return torch.remainder(angle + pi, tau) - pi

@@ -14,19 +14,16 @@ from typing import Annotated
 
 import typer
 
-from anchorflow_benchmarks import BenchmarkError, options
-from anchorflow_benchmarks.driving.open_loop import open_drivers
+from anchorflow_benchmarks import options
+from anchorflow_benchmarks.driving.open_loop import named_drivers, open_drivers
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.drivers import DRIVERS, Driver
 from anchorflow_driving.log import DrivingLog, write_log
-from anchorflow_driving.simulation.closed_loop import (
-    ClosedLoopConfig,
-    RouteResult,
-    drive_route,
-)
+from anchorflow_driving.simulation.closed_loop import ClosedLoopConfig, RouteResult, drive_route
 
-BASELINES = ("idm", "route_constant_speed", "constant_velocity", "stop")  # there is no record
+# There is no record.
+BASELINES: dict[str, Driver] = {name: DRIVERS[name] for name in DRIVERS if name != "human"}
 NOTE = (
     "A route ends with the first of: its length; a collision at fault, as the PDM score has it; a"
     " corner off the road; 10 m beside the route; its time. progress: share of the routes that was"
@@ -114,11 +111,7 @@ def drive_closed_loop(
     out: options.Out = options.RESULTS,
 ) -> None:
     """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
-    chosen: dict[str, Driver] = {}
-    for name in options.comma_separated(drivers):
-        if name not in BASELINES:
-            raise BenchmarkError(f"expected drivers among {', '.join(BASELINES)}, got {name!r}")
-        chosen[name] = DRIVERS[name]
+    chosen: dict[str, Driver] = named_drivers(options.comma_separated(drivers), BASELINES)
     for driver in open_drivers(bundle or [], num=num, threads=threads):
         for each in (driver, driver.along_route()) if along_route else (driver,):
             chosen[each.name] = each

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import fmean, median
 from time import perf_counter
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import typer
@@ -34,7 +34,7 @@ from anchorflow_driving.drivers import (
 )
 from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog, read_logs
-from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
+from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
@@ -117,12 +117,12 @@ def open_drivers(
     return drivers
 
 
-def named_drivers(names: Sequence[str]) -> dict[str, Entry]:
+def named_drivers(names: Sequence[str], among: Mapping[str, Any] = ENTRIES) -> dict[str, Any]:
     """Return rule-based drivers by name. Raises `BenchmarkError` if a name is unknown."""
     for name in names:
-        if name not in ENTRIES:
-            raise BenchmarkError(f"expected drivers among {', '.join(ENTRIES)}, got {name!r}")
-    return {name: ENTRIES[name] for name in names}
+        if name not in among:
+            raise BenchmarkError(f"expected drivers among {', '.join(among)}, got {name!r}")
+    return {name: among[name] for name in names}
 
 
 def judge_drivers(
@@ -187,6 +187,7 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
             plan = entry.driver(window, entry.times)
         ms = 1e3 * (perf_counter() - started)
         motion = scorer.motion(plan[None])
+        scores = scorer.judge(motion)
         waypoints = _waypoints(entry.driver, window)
         hit = float("nan") if waypoints is None else float(collides(window, waypoints))
         verdict = Judged(
@@ -197,7 +198,7 @@ def _judge_window(drivers: Mapping[str, Entry], window: Window) -> dict[str, Jud
             plan=plan,
             waypoints=waypoints,
             figures={
-                **_sub_scores(scorer.judge(motion)),
+                **{n.upper(): float(getattr(scores, n)[0]) for n in (*SUB_SCORES, "pdms")},
                 "against": float(scorer.metres_against(motion)[0]),
                 **_distances(window, plan, entry.times),
                 "hit": hit,
@@ -254,10 +255,6 @@ def _waypoints(driver: Driver | BundleDriver, window: Window) -> Array | None:
         return None
     waypoints = driver(window, WAYPOINT_TIMES)[:, :2]
     return waypoints if np.isfinite(waypoints).all() else None
-
-
-def _sub_scores(scores: PdmScores) -> dict[str, float]:
-    return {name.upper(): float(getattr(scores, name)[0]) for name in (*SUB_SCORES, "pdms")}
 
 
 def _distances(window: Window, plan: Array, times: Array) -> dict[str, float]:

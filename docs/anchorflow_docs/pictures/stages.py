@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import (
@@ -150,7 +149,7 @@ def flow(stage: Stage) -> Drawing:
     sampler = {"method": "rk4", "schedule": {"uniform": FLOW_STEPS}}
     states = stage.flow_states(scene, sampler=sampler)
     answer = stage.plan(scene, sampler=sampler)
-    moments = [states.positions[_index(states.times, t)] for t in TIMES]
+    moments = [states.positions[np.abs(states.times - t).argmin()] for t in TIMES]
     moments.append(answer.trajectories)
     names = [f"t = {t:g}" for t in TIMES]
     names[0] += ", noise"
@@ -178,7 +177,3 @@ def _draw_followed(axis: Axes, scene: Scene, moments: list[Array], theme: Theme)
             draw_paths(axis, paths[n : n + 1], colour, alpha=shade, linewidths=0.6 + 1.6 * shade)
     draw_ends(axis, scene, theme)
     axis.set_title("three of them, at all five moments")
-
-
-def _index(times: NDArray[np.float64], wanted: float) -> int:
-    return int(np.abs(times - wanted).argmin())

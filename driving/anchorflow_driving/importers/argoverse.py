@@ -15,13 +15,17 @@ from anchorflow_driving.contours import union_rings
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.geometry import Array, arc_lengths, at_places
 from anchorflow_driving.importers.fields import Entry
-from anchorflow_driving.importers.recording import (
+from anchorflow_driving.importers.recording import Track, recorded_log
+from anchorflow_driving.log import (
+    CYCLIST,
+    FRAME_S,
+    PEDESTRIAN,
+    STATIC,
+    VEHICLE,
+    DrivingLog,
     Lane,
     RoadMap,
-    Track,
-    recorded_log,
 )
-from anchorflow_driving.log import CYCLIST, FRAME_S, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
 
 EGO = "AV"
 """Track of the recording vehicle."""

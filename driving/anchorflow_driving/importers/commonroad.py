@@ -11,8 +11,8 @@ import numpy as np
 from anchorflow_driving.contours import union_rings
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.importers.fields import Element, as_number
-from anchorflow_driving.importers.recording import Lane, RoadMap, Track, recorded_log
-from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
+from anchorflow_driving.importers.recording import Track, recorded_log
+from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog, Lane, RoadMap
 
 VERSION = "2020a"
 KINDS = {
@@ -58,14 +58,6 @@ class _Lanelet:
         return (self.left + self.right) / 2
 
 
-@dataclass(frozen=True)
-class _Obstacle:
-    kind: int
-    size: tuple[float, float]
-    time: Array  # [M] s
-    states: Array  # [M, 4] x, y, heading, speed
-
-
 def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
     """The log of a scenario, with every window whose recorded future is good, and what was counted.
 
@@ -85,13 +77,16 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
     if not driven:
         raise root.refuse("lanelets that vehicles drive on", "none", within="lanelet")
     counts: Counter[str] = Counter()
-    obstacles = [_static(element) for element in root.children("staticObstacle")]
+    tracks = [
+        _track(element, [element.child("initialState")], np.zeros(1), stands=True)
+        for element in root.children("staticObstacle")
+    ]
     for element in root.children("dynamicObstacle"):
         if element.maybe("trajectory") is None:
             counts["dropped: obstacle without a trajectory"] += 1
         else:
-            obstacles.append(_dynamic(element, step))
-    if not any(len(obstacle.time) > 1 for obstacle in obstacles):
+            tracks.append(_dynamic(element, step))
+    if not any(len(track.time) > 1 for track in tracks):
         raise root.refuse("obstacles with a trajectory", "none", within="dynamicObstacle")
     junctions = {
         lane.attribute("ref")
@@ -100,7 +95,6 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
         for way in ("successorsRight", "successorsStraight", "successorsLeft")
         for lane in incoming.children(way)
     }
-    tracks = [_track(obstacle) for obstacle in obstacles]
     first = tracks[0].poses[0, :2]
     log, chosen = recorded_log(
         tracks,
@@ -167,34 +161,23 @@ def _state(element: Element) -> tuple[float, float, float, float]:
     return point.number("x"), point.number("y"), element.number("orientation"), speed
 
 
-def _static(element: Element) -> _Obstacle:
-    state = element.child("initialState")
-    x, y, heading, _ = _state(state)
-    states = np.array([[x, y, heading, 0.0]])
-    return _Obstacle(_kind(element), _size(element), np.zeros(1), states)
-
-
-def _dynamic(element: Element, step: float) -> _Obstacle:
+def _dynamic(element: Element, step: float) -> Track:
     nodes = [element.child("initialState"), *element.child("trajectory").children("state")]
     time = np.array([node.number("time") * step for node in nodes])
     if (np.diff(time) <= 0).any() or time[0] < 0:
         raise element.refuse(
             "times that grow from 0", time.tolist(), within="trajectory.state.time"
         )
-    states = np.array([_state(node) for node in nodes])
-    return _Obstacle(_kind(element), _size(element), time, states)
+    return _track(element, nodes, time)
 
 
-def _track(obstacle: _Obstacle) -> Track:
-    heading, speed = obstacle.states[:, 2], obstacle.states[:, 3:]
-    return Track(
-        obstacle.kind,
-        obstacle.size,
-        obstacle.time,
-        obstacle.states[:, :3],
-        speed * np.stack([np.cos(heading), np.sin(heading)], -1),
-        always=len(obstacle.time) == 1,
-    )
+def _track(element: Element, nodes: list[Element], time: Array, *, stands: bool = False) -> Track:
+    x, y, heading, speed = np.array([_state(node) for node in nodes]).T
+    speed = 0 * speed if stands else speed
+    poses = np.stack([x, y, heading], -1)
+    velocity = speed[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+    always = len(time) == 1
+    return Track(_kind(element), _size(element), time, poses, velocity, always=always)
 
 
 def _road(lanelets: list[_Lanelet], driven: list[_Lanelet], junctions: set[str]) -> RoadMap:

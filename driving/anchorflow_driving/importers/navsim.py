@@ -17,16 +17,14 @@ from anchorflow_driving.importers.fields import Entry, chosen_scene
 from anchorflow_driving.importers.geopackage import Feature, key_value, layers, read_features
 from anchorflow_driving.importers.plain_pickle import load_plain_pickle
 from anchorflow_driving.importers.recording import (
-    Lane,
-    RoadMap,
     Track,
+    flat_pose,
     is_near,
     recorded_log,
     surroundings,
     velocities,
-    yaw,
 )
-from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
+from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog, Lane, RoadMap
 
 EGO_SIZE = (5.176, 2.297)
 """Length and width of nuPlan's recording Chrysler Pacifica, m."""
@@ -80,7 +78,9 @@ def import_navsim(
         found = f"{np.diff(time)[late[0]]:g} s after the frame before"
         raise frames[late[0] + 1].refuse("a later time", found, within="timestamp")
     time -= time[0]
-    axle = np.stack([_pose(frame) for frame in frames])
+    axle = np.stack(
+        [flat_pose(each["ego2global_translation"], each["ego2global_rotation"]) for each in frames]
+    )
     counts: Counter[str] = Counter()
     ego = _ego(frames, time, axle)
     tracks = [ego, *_others(frames, time, axle, counts)]
@@ -105,12 +105,6 @@ def _frames(root: Entry, scene: str | None) -> list[Entry]:
     if len(scenes[scene]) < 2:
         raise root.refuse("two frames or more", len(scenes[scene]), within="scene_token")
     return scenes[scene]
-
-
-def _pose(frame: Entry) -> Array:
-    """[3] of the rear axle."""
-    x, y, _ = frame["ego2global_translation"].numbers(3)
-    return np.array([x, y, float(yaw(frame["ego2global_rotation"].numbers(4)))])
 
 
 def _ego(frames: Sequence[Entry], time: Array, axle: Array) -> Track:

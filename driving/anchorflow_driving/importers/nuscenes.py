@@ -13,20 +13,14 @@ from anchorflow_driving.importers.fields import Entry, by_token, chosen_scene
 from anchorflow_driving.importers.nuscenes_map import read_map
 from anchorflow_driving.importers.recording import (
     Track,
+    flat_pose,
     frame_times,
     recorded_log,
     resampled_poses,
     surroundings,
     velocities,
-    yaw,
 )
-from anchorflow_driving.log import (
-    CYCLIST,
-    PEDESTRIAN,
-    STATIC,
-    VEHICLE,
-    DrivingLog,
-)
+from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
 
 EGO_SIZE = (4.084, 1.730)
 """Length and width of the recording Renault Zoe, m."""
@@ -136,7 +130,7 @@ def _ego(tables: _Tables, samples: dict[str, float]) -> Track:
             tables.path("ego_pose"), "token", expected="two poses or more", found=str(len(rows))
         )
     microseconds, index = np.unique([row["timestamp"].number for row in rows], return_index=True)
-    poses = np.stack([_pose(rows[at]) for at in index])
+    poses = np.stack([flat_pose(rows[at]["translation"], rows[at]["rotation"]) for at in index])
     begin, end = max(first, microseconds[0]), min(last, microseconds[-1])
     now = frame_times((end - begin) / 1e6)
     axle = resampled_poses((microseconds - begin) / 1e6, poses, now)
@@ -167,7 +161,7 @@ def _others(tables: _Tables, samples: dict[str, float], counts: Counter[str]) ->
         if (np.diff(time) <= 0).any():
             raise rows[0].refuse("one box of an instance in a sample", "two", within="sample_token")
         width, length, _ = np.median([_size(row["size"]) for row in rows], axis=0)
-        poses = np.stack([_pose(row) for row in rows])
+        poses = np.stack([flat_pose(row["translation"], row["rotation"]) for row in rows])
         moves = velocities(time, poses[:, :2])
         tracks.append(Track(kind, (float(length), float(width)), time, poses, moves))
     return tracks
@@ -178,9 +172,3 @@ def _size(size: Entry) -> Array:
     if (found <= 0).any():
         raise size.refuse("width, length and height above 0", found.tolist())
     return found
-
-
-def _pose(row: Entry) -> Array:
-    """[3] x, y, heading."""
-    x, y, _ = row["translation"].numbers(3)
-    return np.array([x, y, float(yaw(row["rotation"].numbers(4)))])

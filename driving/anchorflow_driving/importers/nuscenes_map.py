@@ -11,7 +11,8 @@ import numpy as np
 from anchorflow_driving.contours import keyholed, union_rings
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.importers.fields import Entry, by_token
-from anchorflow_driving.importers.recording import Lane, RoadMap, is_near
+from anchorflow_driving.importers.recording import is_near
+from anchorflow_driving.log import Lane, RoadMap
 
 STEP = 1.0
 """m between the points of a centreline."""

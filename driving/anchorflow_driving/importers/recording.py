@@ -12,15 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import Array, at_places
+from anchorflow_driving.importers.fields import Entry
 from anchorflow_driving.importers.lane_following import LaneFollowing
-from anchorflow_driving.log import (
-    FRAME_S,
-    NO_WINDOWS,
-    VEHICLE,
-    DrivingLog,
-    map_fields,
-    track_fields,
-)
+from anchorflow_driving.log import FRAME_S, NO_WINDOWS, VEHICLE, DrivingLog, RoadMap, track_fields
 from anchorflow_driving.window_choice import all_windows
 
 CLOSED_GAP = 1.0
@@ -40,23 +34,6 @@ class Track:
     poses: Array  # [M, 3] x, y, heading of the box's middle; headings may jump by 2 pi
     velocity: Array  # [M, 2]
     always: bool = False  # present in every frame, at its only state
-
-
-@dataclass(frozen=True, eq=False)
-class Lane:
-    name: str
-    polygon: Array  # [V, 2]
-    centre: Array  # [V, 2] in driving direction
-    successors: Sequence[str]  # names; those of no lane are left out
-    in_junction: bool
-
-
-@dataclass(frozen=True, eq=False)
-class RoadMap:
-    lanes: Sequence[Lane]
-    drivable: Sequence[Array]  # rings; inside an odd number of them one may drive
-    crosswalks: Sequence[Array]
-    lines: Sequence[tuple[Array, bool]]  # painted lines, and whether they are solid
 
 
 def recorded_log(
@@ -82,7 +59,7 @@ def recorded_log(
         city=city,
         dt=FRAME_S,
         **_track_fields(tracks, origin),
-        **_map_fields(road, origin),
+        **road.fields(origin=origin),
         **NO_WINDOWS,
         path=str(path),
     )
@@ -114,10 +91,11 @@ def velocities(time: Array, positions: Array) -> Array:
     return np.gradient(positions, time, axis=0)
 
 
-def yaw(quaternions: Array) -> Array:
-    """Headings [...] of unit quaternions [..., 4], w, x, y, z."""
-    w, x, y, z = np.moveaxis(quaternions, -1, 0)
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+def flat_pose(place: Entry, turn: Entry) -> Array:
+    """[3] x, y, heading of a place x, y, z and a unit quaternion w, x, y, z."""
+    x, y, _ = place.numbers(3)
+    w, i, j, k = turn.numbers(4)
+    return np.array([x, y, np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))])
 
 
 def surroundings(tracks: Sequence[Track]) -> tuple[Array, Array]:
@@ -151,26 +129,3 @@ def _seen(time: Array, now: Array) -> NDArray[np.bool_]:
     inside = (before >= 0) & (after < len(time))
     gap = time[np.minimum(after, len(time) - 1)] - time[np.maximum(before, 0)]
     return inside & (gap <= CLOSED_GAP + _SLACK)
-
-
-def _map_fields(road: RoadMap, origin: Array) -> dict[str, Any]:
-    number = {lane.name: index for index, lane in enumerate(road.lanes)}
-    edges = [
-        (number[lane.name], number[after])
-        for lane in road.lanes
-        for after in lane.successors
-        if after in number
-    ]
-    polylines = {
-        "lane": [lane.polygon for lane in road.lanes],
-        "centre": [lane.centre for lane in road.lanes],
-        "drivable": road.drivable,
-        "crosswalk": road.crosswalks,
-        "line": [line for line, _ in road.lines],
-    }
-    return map_fields(
-        {name: [line - origin for line in lines] for name, lines in polylines.items()},
-        in_junction=[lane.in_junction for lane in road.lanes],
-        edges=edges,
-        solid=[solid for _, solid in road.lines],
-    )

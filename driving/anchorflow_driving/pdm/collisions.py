@@ -5,7 +5,6 @@ In both a track's first contact with the ego decides: it counts, or the track is
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -112,38 +111,22 @@ def time_to_collision(motion: Motion, traffic: Traffic, placement: Placement) ->
 
 def find_contacts(motion: Motion, traffic: Traffic, *, ahead: int) -> Contacts:
     """All overlaps, the ego moved on and the others looked at `ahead` frames later."""
-    vehicle, others = traffic.vehicle, traffic.others
+    vehicle = traffic.vehicle
     moved = ahead_of(motion.poses, vehicle.rear_axle + motion.speed * (ahead * FRAME_S))
-    parts = list(_near(moved, vehicle, others, ahead))
-    plan, step, track = (
-        np.concatenate([part[axis] for part in parts] or [np.zeros(0, np.intp)])
-        for axis in range(3)
-    )
-    touch = boxes_overlap(
-        moved[plan, step], vehicle.size, others.states[track, step + ahead, :3], others.size[track]
-    )
-    contacts = Contacts(plan, step, track, np.full(len(plan), ahead))
-    return contacts.of(touch)
+    return _overlaps(moved, vehicle, traffic.others, ahead)
 
 
 def boxes_touch(poses: Array, vehicle: Vehicle, others: Others) -> NDArray[np.bool_]:
     """[P] whether the box, its middle at poses [P, T, 3] from 0.1 s on, ever overlaps another."""
-    parts = list(_near(poses, vehicle, others, 1))
     hit = np.zeros(len(poses), bool)
-    for plan, step, track in parts:
-        touch = boxes_overlap(
-            poses[plan, step], vehicle.size, others.states[track, step + 1, :3], others.size[track]
-        )
-        hit[plan[touch]] = True
+    hit[_overlaps(poses, vehicle, others, 1).plan] = True
     return hit
 
 
-def _near(
-    poses: Array, vehicle: Vehicle, others: Others, ahead: int
-) -> Iterator[tuple[Integers, Integers, Integers]]:
-    """(plan, step, track) where circles round the boxes might meet: two boxes of axes, in turns.
+def _overlaps(poses: Array, vehicle: Vehicle, others: Others, ahead: int) -> Contacts:
+    """Return where the box at poses [P, T, 3] overlaps others, looked at `ahead` frames later.
 
-    First the others against what all plans cover at a step, then plan by plan.
+    Circles round the boxes are compared first: with what all plans cover at a step, then by plan.
     """
     steps = poses.shape[1]
     place = others.states[:, ahead : ahead + steps, :2]
@@ -153,7 +136,10 @@ def _near(
     track, step = np.nonzero(((place > low - margin) & (place < high + margin)).all(-1))
     offset = np.abs(poses[:, step, :2] - place[track, step])
     plan, pair = np.nonzero((offset < reach[track][:, None]).all(-1))
-    yield plan, step[pair], track[pair]
+    near = Contacts(plan, step[pair], track[pair], np.full(len(plan), ahead))
+    states = others.states[near.track, near.step + ahead, :3]
+    size = others.size[near.track]
+    return near.of(boxes_overlap(poses[plan, near.step], vehicle.size, states, size))
 
 
 def _at_fault(

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from anchorflow_driving.geometry import Array, box_corners, into_frame, out_of_frame
+from anchorflow_driving.geometry import Array, box_corners, out_of_frame
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, Polylines
 from anchorflow_driving.window import PlannerView
 
@@ -89,7 +88,7 @@ def draw_bev(view: PlannerView, grid: BevGrid = BEV) -> Bytes:
     occupied_T                  all boxes at constant velocity, T from now
     """
     painter = _Painter(grid)
-    lanes = painter.directed(_in_ego_frame(view, "centre"))
+    lanes = painter.directed(view.polylines("centre"))
     now, before = view.tracks[:, -1], view.tracks[:, -1 - BEFORE_FRAMES]
     others = np.arange(len(now)) != view.ego
     of_kind = {name: others & np.isin(view.track_type, kinds) for name, kinds in KINDS.items()}
@@ -99,8 +98,8 @@ def draw_bev(view: PlannerView, grid: BevGrid = BEV) -> Bytes:
         [
             _drivable(view, grid),
             *lanes,
-            painter.polygons(_in_ego_frame(view, "crosswalk")),
-            painter.lines(_in_ego_frame(view, "line")),
+            painter.polygons(view.polylines("crosswalk")),
+            painter.lines(view.polylines("line")),
             *boxes,
             painter.boxes(before, view.track_size, of_kind["vehicles"]),
             *moved,
@@ -116,16 +115,6 @@ def draw_boxes(states: Array, size: Array, grid: BevGrid) -> Bytes:
 def _ahead(states: Array, time: float) -> Array:
     """States [K, 5] after a time at constant velocity."""
     return np.concatenate([states[:, :2] + time * states[:, 3:], states[:, 2:]], axis=1)
-
-
-def _in_ego_frame(view: PlannerView, family: str) -> Polylines:
-    """What `view.polylines` gives, all turned at once."""
-    lines = view.log_polylines[family]
-    if not lines:
-        return ()
-    moved = into_frame(np.concatenate(lines), view.state.pose)
-    ends = np.cumsum([len(line) for line in lines]).tolist()
-    return tuple(moved[begin:end] for begin, end in pairwise([0, *ends]))
 
 
 def _drivable(view: PlannerView, grid: BevGrid) -> Bytes:

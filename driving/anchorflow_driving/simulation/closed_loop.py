@@ -27,7 +27,6 @@ from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_colli
 from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.pdm.score import tracked
 from anchorflow_driving.pdm.traffic import Others, Traffic
-from anchorflow_driving.road import Road
 from anchorflow_driving.route import ROUTE_SIGMA, SPACING, Route, smooth_line
 from anchorflow_driving.simulation.demand import make_demand
 from anchorflow_driving.simulation.driven import (
@@ -43,15 +42,8 @@ from anchorflow_driving.simulation.roadside import all_that_stands
 from anchorflow_driving.simulation.routes import line_ahead
 from anchorflow_driving.simulation.simulated_log import net_fields
 from anchorflow_driving.simulation.street_plan import make_net
-from anchorflow_driving.simulation.sumo_traffic import LiveTraffic, Seen
-from anchorflow_driving.window import (
-    EgoState,
-    PlannerView,
-    Scenes,
-    Vehicle,
-    Window,
-    planner_view,
-)
+from anchorflow_driving.simulation.sumo_traffic import LiveTraffic
+from anchorflow_driving.window import EgoState, PlannerView, Scenes, Vehicle, Window, planner_view
 from anchorflow_driving.window_choice import command, fits_ego
 
 ATTEMPTS = 10
@@ -281,14 +273,12 @@ class _Drive:
         seen = self._traffic.seen()
         ego = seen.names.index(self._ego)
         self._progress.advance(seen.states[ego, -1, :2])
-        kept = [
-            i
-            for i in range(len(seen.states))
-            if i != ego and self._name(seen, i) not in self._touched
-        ]
+        unknown = {*seen.names} - {self._ego, *self._touched}
+        kept = [index for index, name in enumerate(seen.names) if name in unknown]
         others = Others(seen.states[kept, -stride - 1 :], seen.size[kept], seen.kind[kept])
-        scene = _scene(self._scenes.road, self._vehicle, others, self._line)
-        placement = Placement(driven, self._vehicle, self._scenes.road)
+        road, start = self._scenes.road, EgoState(np.zeros(3), 0.0, 0.0, 0.0)
+        scene = Traffic(road, Route(self._line), self._vehicle, start, np.nan, others)
+        placement = Placement(driven, self._vehicle, road)
         off_road = np.append(np.flatnonzero(placement.off_road[0]), np.inf)[0]
         _, (collision,) = no_collision(driven, scene, placement)
         if np.isfinite(min(collision, off_road)):
@@ -296,14 +286,8 @@ class _Drive:
         if self._progress.is_lost:
             return "off route"
         contacts = find_contacts(driven, scene, ahead=0)
-        self._touched |= {self._name(seen, kept[i]) for i in contacts.track.tolist()}
+        self._touched |= {seen.names[kept[i]] for i in contacts.track.tolist()}
         return None
-
-    @staticmethod
-    def _name(seen: Seen, index: int) -> str:
-        return (
-            seen.names[index] if index < len(seen.names) else f"standing {index - len(seen.names)}"
-        )
 
 
 def _bare_log(fields: dict) -> DrivingLog:
@@ -318,8 +302,3 @@ def _bare_log(fields: dict) -> DrivingLog:
         **fields,
         **NO_WINDOWS,
     )
-
-
-def _scene(road: Road, vehicle: Vehicle, others: Others, line: Array) -> Traffic:
-    start = EgoState(np.zeros(3), 0.0, 0.0, 0.0)
-    return Traffic(road, Route(line), vehicle, start, np.nan, others)

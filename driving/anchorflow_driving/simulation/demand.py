@@ -52,11 +52,13 @@ def make_demand(
     ]
     routes: dict[str, list[str]] = {}
     types = list(kinds)
-    edges, entries = _edges_by_length(net), _entries(net)
+    entries = _entries(net)
+    length = np.array([lanes[0].sumo_length * len(lanes) for lanes in net.edges.values()])
+    anywhere = [*net.edges], length / length.sum()
     for index, depart in enumerate(departs):
         name, enters = f"v{index}", index >= count
-        start = rng.choice(entries) if enters and entries else rng.choice(*edges[:1], p=edges[1])
-        routes[name] = _walk(net, str(start), rng)
+        edges, share = (entries, None) if enters and entries else anywhere
+        routes[name] = _walk(net, str(rng.choice(edges, p=share)), rng)
         attributes = {
             "id": name,
             "type": types[rng.integers(len(types))],
@@ -147,11 +149,6 @@ def _walk(net: RoadNet, start: str, rng: np.random.Generator) -> list[str]:
         route.append(edge)
         length += net.edges[edge][0].sumo_length
     return route
-
-
-def _edges_by_length(net: RoadNet) -> tuple[list[str], np.ndarray]:
-    lengths = np.array([lanes[0].sumo_length * len(lanes) for lanes in net.edges.values()])
-    return list(net.edges), lengths / lengths.sum()
 
 
 def _entries(net: RoadNet) -> list[str]:

@@ -65,7 +65,9 @@ def roadside(net: RoadNet, rng: np.random.Generator, *, level: float) -> Roadsid
         for kerb in _kerbs(lanes[0], road, rng, spacing=spacing):
             beside = kinds[rng.choice(len(kinds), p=liking)](kerb, rng)
             found.areas.extend(beside.areas)
-            found.standing.extend(each for each in beside.standing if not _on(road, each))
+            for each in beside.standing:
+                if not road.holds(box_corners(each.state[:3], np.array(each.size))).any():
+                    found.standing.append(each)
     return found
 
 
@@ -146,10 +148,6 @@ def _stood(
 ) -> Standing:
     x, y = kerb.at(np.array([along, out]))
     return Standing(kind, size, np.array([x, y, kerb.heading + turn, 0.0, 0.0]))
-
-
-def _on(road: DrivableGrid, each: Standing) -> bool:
-    return bool(road.holds(box_corners(each.state[:3], np.array(each.size))).any())
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 
 import numpy as np
@@ -21,10 +21,12 @@ BEYOND = 60.0
 def followed_line(net: RoadNet, vehicle: VehicleRecord) -> tuple[Array, Array]:
     """The smoothed centreline [V, 2], and where on it [F] the front bumper was, m."""
     front = np.asarray(vehicle.front)
-    points = [
-        _on_lane(net, name, [position for _, position in along], front[begin : begin + len(along)])
-        for name, begin, along in _runs(vehicle.lane)
-    ]
+    points, begin = [], 0
+    for name, noted in groupby(vehicle.lane, key=lambda each: each[0]):
+        along, lane = np.array([position for _, position in noted]), net.lanes.get(name)
+        end = begin + len(along)
+        points.append(lane.points(along) if lane else front[begin:end])
+        begin = end
     last = net.lanes.get(vehicle.lane[-1][0])
     if last:
         edges, place = vehicle.route[vehicle.on_route :], vehicle.lane[-1][1]
@@ -32,21 +34,6 @@ def followed_line(net: RoadNet, vehicle: VehicleRecord) -> tuple[Array, Array]:
     line = blended(np.concatenate(points), front)
     smoothed = smooth_line(line, sigma=ROUTE_SIGMA)
     return smoothed, places_on(smoothed, front)
-
-
-def _runs(lane: list[tuple[str, float]]) -> Iterator[tuple[str, int, list[tuple[str, float]]]]:
-    """Frames on one lane: its name, the first of them, and what was noted."""
-    begin = 0
-    for name, group in groupby(lane, key=lambda noted: noted[0]):
-        along = list(group)
-        yield name, begin, along
-        begin += len(along)
-
-
-def _on_lane(net: RoadNet, name: str, positions: list[float], front: Array) -> Array:
-    """Return [F, 2] of the lane's centreline, or the vehicle's positions on an unknown lane."""
-    lane = net.lanes.get(name)
-    return lane.points(np.array(positions)) if lane else front
 
 
 def line_ahead(

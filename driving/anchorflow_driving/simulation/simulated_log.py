@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,8 @@ from anchorflow_driving.log import (
     PEDESTRIAN,
     SIMULATED,
     DrivingLog,
-    map_fields,
+    Lane,
+    RoadMap,
     track_fields,
 )
 from anchorflow_driving.simulation import LogConfig
@@ -42,16 +43,8 @@ AFTER = 10
 """Frames simulated past the log's end, so that smoothing knows how its motions go on."""
 
 
-@dataclass(frozen=True)
-class Tracks:
-    kind: list[int]
-    size: list[tuple[float, float]]
-    states: list[Array]  # [F, 5] each
-
-    def add(self, kind: int, size: tuple[float, float], states: Array) -> None:
-        self.kind.append(kind)
-        self.size.append(size)
-        self.states.append(states)
+Track = tuple[int, tuple[float, float], Array]
+"""Kind, size and states [F, 5]."""
 
 
 def simulate_log(config: LogConfig, index: int) -> tuple[DrivingLog, Counter[str]]:
@@ -96,12 +89,11 @@ def _simulated(
     level = float(rng.uniform(0.1, 0.38))
     beside = roadside(net, rng, level=level)
     for each in [*all_that_stands(net, rng), *beside.standing]:
-        tracks.add(each.kind, each.size, np.repeat(each.state[None], frames, axis=0))
+        tracks.append((each.kind, each.size, np.repeat(each.state[None], frames, axis=0)))
     mirror = -1.0 if rng.random() < config.left_hand else 1.0
     fields = net_fields(net, level=level, mirror=mirror, also=beside.areas)
-    states = np.stack(tracks.states)
-    states[..., [1, 2, 4]] *= mirror
-    fields |= track_fields(tracks.kind, tracks.size, states)
+    kind, size, states = zip(*tracks, strict=True)
+    fields |= track_fields(kind, size, np.stack(states) * [1.0, mirror, mirror, 1.0, mirror])
     for each in driven:
         each.line[:, 1] *= mirror
     log = DrivingLog(
@@ -127,12 +119,13 @@ def _tracks(
     begin: int,
     frames: int,
     deviations: np.random.Generator | None,
-) -> tuple[Tracks, list[Driven]]:
+) -> tuple[list[Track], list[Driven]]:
     """Tracks of the frames from `begin`, and the lines that the vehicles among them followed.
 
     deviations: draws deviations from those lines; None for none
     """
-    tracks, driven = Tracks([], [], []), []
+    tracks: list[Track] = []
+    driven: list[Driven] = []
     for vehicle in recording.vehicles:
         front, asked = as_array(vehicle.front), np.ones(len(vehicle.front), bool)
         if deviations is not None:
@@ -141,17 +134,17 @@ def _tracks(
         cut = _cut(states, vehicle.first, begin=begin, frames=frames)
         seen = int(np.isfinite(cut[:, 0]).sum())
         if seen > HISTORY_FRAMES + FUTURE_FRAMES:
-            course = _driven(len(tracks.kind), vehicle, net, begin=begin, frames=frames)
+            course = _driven(len(tracks), vehicle, net, begin=begin, frames=frames)
             column = asked[:, None].astype(float)
             wanted = _cut(column, vehicle.first, begin=begin, frames=frames)[:, 0] == 1
             driven.append(replace(course, asked=wanted))
         if seen >= LEAST_FRAMES:
-            tracks.add(vehicle.kind, vehicle.size, cut)
+            tracks.append((vehicle.kind, vehicle.size, cut))
     for person in recording.people:
         states = person_states(as_array(person.place))
         cut = _cut(states, person.first, begin=begin, frames=frames)
         if np.isfinite(cut[:, 0]).sum() >= LEAST_FRAMES:
-            tracks.add(PEDESTRIAN, person.size, cut)
+            tracks.append((PEDESTRIAN, person.size, cut))
     return tracks, driven
 
 
@@ -176,21 +169,9 @@ def net_fields(
     net: RoadNet, *, level: float, mirror: float, also: Sequence[Array] = ()
 ) -> dict[str, Any]:
     """Fields of a log's map; level and also: as `drivable_rings` takes them."""
-    lanes = list(net.lanes.values())
-    number = {lane.name: index for index, lane in enumerate(lanes)}
-    edges = [(number[a], number[b]) for a, after in net.following.items() for b in after]
-    lines = list(net.lines())
-    families = {
-        "lane": [lane.polygon for lane in lanes],
-        "centre": [lane.centre for lane in lanes],
-        "drivable": net.drivable_rings(level=level, also=also),
-        "crosswalk": net.crossings,
-        "line": [line for line, _ in lines],
-    }
-    return map_fields(
-        families,
-        in_junction=[lane.in_junction for lane in lanes],
-        edges=edges,
-        solid=[solid for _, solid in lines],
-        mirror=mirror,
-    )
+    lanes = [
+        Lane(each.name, each.polygon, each.centre, net.following[each.name], each.in_junction)
+        for each in net.lanes.values()
+    ]
+    drivable = net.drivable_rings(level=level, also=also)
+    return RoadMap(lanes, drivable, net.crossings, list(net.lines())).fields(mirror=mirror)

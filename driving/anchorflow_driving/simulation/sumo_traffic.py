@@ -136,9 +136,9 @@ def as_array(points: list[tuple[float, float]]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Seen:
-    """All K tracks in F frames; those without a name are standing objects."""
+    """All K tracks in F frames."""
 
-    names: list[str]
+    names: list[str]  # of standing objects as well
     states: Array  # [K, F, 5], NaN where absent; the last frame is now
     size: Array  # [K, 2]
     kind: NDArray[np.uint8]  # [K]
@@ -211,7 +211,7 @@ class LiveTraffic:
                 ego, "", -1, front[0], front[1], angle=bearing % 360.0, keepRoute=FREE_PLACEMENT
             )
         self._sumo.step()
-        now = {**_vehicles(self._size, self._kind, self._demand), **_people(self._size, self._kind)}
+        now = {**self._vehicles(), **self._people()}
         if ego is not None and pose is not None:
             velocity = speed * np.array([np.cos(pose[2]), np.sin(pose[2])])
             now[ego] = np.concatenate([pose, velocity])
@@ -230,31 +230,27 @@ class LiveTraffic:
         # Headings unwrapped, as a log has them.
         turn = np.nan_to_num(states[..., 2])
         states[..., 2] += np.unwrap(turn, axis=1) - turn
+        names += [f"standing {index}" for index in range(len(standing))]
         return Seen(names, states, np.array(size), np.array(kind, np.uint8))
 
+    def _vehicles(self) -> dict[str, Array]:
+        states, vehicle = {}, libsumo.vehicle
+        for name in vehicle.getIDList():
+            if name not in self._size:
+                kind = vehicle.getTypeID(name).partition("@")[0]
+                self._size[name] = vehicle.getLength(name), vehicle.getWidth(name)
+                self._kind[name] = self._demand.vehicle_kind[kind]
+            pose = np.array([*vehicle.getPosition(name), np.deg2rad(90.0 - vehicle.getAngle(name))])
+            states[name] = _state(ahead_of(pose, -self._size[name][0] / 2), vehicle.getSpeed(name))
+        return states
 
-def _vehicles(
-    size: dict[str, tuple[float, float]], kind: dict[str, int], demand: Demand
-) -> dict[str, Array]:
-    states, vehicle = {}, libsumo.vehicle
-    for name in vehicle.getIDList():
-        if name not in size:
-            size[name] = vehicle.getLength(name), vehicle.getWidth(name)
-            kind[name] = demand.vehicle_kind[vehicle.getTypeID(name).partition("@")[0]]
-        heading = np.deg2rad(90.0 - vehicle.getAngle(name))
-        middle = ahead_of(np.array([*vehicle.getPosition(name), heading]), -size[name][0] / 2)
-        states[name] = _state(middle, vehicle.getSpeed(name))
-    return states
-
-
-def _people(size: dict[str, tuple[float, float]], kind: dict[str, int]) -> dict[str, Array]:
-    states, person = {}, libsumo.person
-    for name in person.getIDList():
-        size[name], kind[name] = PERSON_SIZE, PEDESTRIAN
-        heading = np.deg2rad(90.0 - person.getAngle(name))
-        place = np.array([*person.getPosition(name), heading])
-        states[name] = _state(place, person.getSpeed(name))
-    return states
+    def _people(self) -> dict[str, Array]:
+        states, person = {}, libsumo.person
+        for name in person.getIDList():
+            self._size[name], self._kind[name] = PERSON_SIZE, PEDESTRIAN
+            pose = np.array([*person.getPosition(name), np.deg2rad(90.0 - person.getAngle(name))])
+            states[name] = _state(pose, person.getSpeed(name))
+        return states
 
 
 def _state(pose: Array, speed: float) -> Array:

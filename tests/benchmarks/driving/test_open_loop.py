@@ -5,24 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from command_line import succeed
+from driven_bend import MADE, one_lane
 
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.driving.open_loop import drive_tables, judge_drivers, named_drivers
-from anchorflow_driving.log import VEHICLE, DrivingLog, write_log
+from anchorflow_driving.log import VEHICLE, DrivingLog, track_fields, window_fields, write_log
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 FRAMES, NOW = 80, 20
-
-
-def family(name: str, *lines: list[tuple[float, float]]) -> dict[str, Any]:
-    offsets = np.cumsum([0, *map(len, lines)], dtype=np.int32)
-    points = np.array([point for line in lines for point in line], np.float32).reshape(-1, 2)
-    return {f"{name}_points": points, f"{name}_offsets": offsets}
 
 
 @pytest.fixture
@@ -32,29 +26,14 @@ def log() -> DrivingLog:
     state = np.zeros((2, FRAMES, 5), np.float32)
     state[..., 0], state[1, :, 1], state[1, :, 2] = x, 10.0, np.pi
     state[..., 3] = [[10.0], [-5.0]]
-    square = [(-150.0, -150.0), (150.0, -150.0), (150.0, 150.0), (-150.0, 150.0)]
+    square = 150.0 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    routes = [np.array([[-100.0, 0.0], [100.0, 0.0]]), np.array([[100.0, 10.0], [-100.0, 10.0]])]
     return DrivingLog(
         name="square",
-        source="made",
-        licence="none",
-        city="nowhere",
-        dt=0.1,
-        track_type=np.full(2, VEHICLE, np.uint8),
-        track_size=np.full((2, 2), (5.0, 2.0), np.float32),
-        track_state=state,
-        **family("lane", square),
-        lane_intersection=np.zeros(1, bool),
-        lane_edges=np.zeros((0, 2), np.int32),
-        **family("centre", square[:2]),
-        **family("drivable", square),
-        **family("crosswalk"),
-        **family("line"),
-        line_solid=np.zeros(0, bool),
-        window_ego=np.arange(2, dtype=np.int32),
-        window_frame=np.full(2, NOW, np.int32),
-        window_command=np.array([1, 2], np.uint8),
-        window_speed_limit=np.array([10.0, 5.0], np.float32),
-        **family("route", [(-100.0, 0.0), (100.0, 0.0)], [(100.0, 10.0), (-100.0, 10.0)]),
+        **MADE,
+        **track_fields([VEHICLE] * 2, [(5.0, 2.0)] * 2, state),
+        **one_lane(square, square[:2]),
+        **window_fields([0, 1], [NOW] * 2, [1, 2], [10.0, 5.0], routes),
     )
 
 

@@ -6,7 +6,9 @@ from collections import deque
 
 import numpy as np
 import pytest
+from driven_bend import one_lane
 
+from anchorflow_driving.log import HISTORY_FRAMES, VEHICLE
 from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.route import SPACING
 from anchorflow_driving.simulation.driven import (
@@ -20,25 +22,11 @@ from anchorflow_driving.simulation.driven import (
 for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")
 
-from anchorflow_driving.log import (  # noqa: E402
-    HISTORY_FRAMES,
-    VEHICLE,
-    line_fields,
-)
 from anchorflow_driving.simulation.driven import DrivenLog  # noqa: E402
 from anchorflow_driving.simulation.sumo_traffic import LiveTraffic  # noqa: E402
 
 SQUARE = np.array([[-9.0, -9.0], [999.0, -9.0], [999.0, 9.0], [-9.0, 9.0]])
-MAP = {
-    **line_fields("lane", [SQUARE]),
-    "lane_intersection": np.zeros(1, bool),
-    "lane_edges": np.zeros((0, 2), np.int32),
-    **line_fields("centre", [SQUARE[:2]]),
-    **line_fields("drivable", [SQUARE]),
-    **line_fields("crosswalk", []),
-    **line_fields("line", []),
-    "line_solid": np.zeros(0, bool),
-}
+MAP = one_lane(SQUARE, SQUARE[:2])
 
 
 class MadeUp(LiveTraffic):

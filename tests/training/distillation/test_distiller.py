@@ -9,7 +9,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 import torch
-from training_runs import DISTILLATION, copied_weights, fit_until
+from training_runs import DISTILLATION, copied_weights, resumed_and_whole
 
 from anchorflow_training.checkpoint import (
     CheckpointError,
@@ -65,13 +65,7 @@ def test_the_student_comes_nearer_to_its_teacher(distil: Distil) -> None:
 
 @every_method
 def test_a_run_that_was_cut_goes_on_as_if_it_had_not_been(method: str, distil: Distil) -> None:
-
-    fit_until(distil("cut", method=method), 3)
-    resumed = distil("cut", method=method)
-    assert resumed.step == 2
-    resumed.fit()
-    whole = distil("whole", method=method)
-    whole.fit()
+    resumed, whole = resumed_and_whole(lambda name: distil(name, method=method))
     lines = (resumed.out / "curve.jsonl").read_text().splitlines()
     assert [json.loads(line)["step"] for line in lines] == [1, 2, 3, 4]
     losses = [[row["loss"] for row in run.curve] for run in (resumed, whole)]

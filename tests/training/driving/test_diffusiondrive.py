@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +14,14 @@ from drawn_bend import drawn as told
 from driven_bend import bend
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import Tensor
-from training_runs import changed_since, copied_weights, descended, fit_until
+from training_runs import (
+    assert_same_weights,
+    changed_since,
+    copied_weights,
+    descended,
+    launched,
+    resumed_and_whole,
+)
 
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
@@ -370,18 +375,11 @@ def test_candidates_in_a_reflected_window_are_judged_as_in_that_of_the_mirrored_
 def test_the_stages_follow_one_another_and_go_on_where_they_stopped(
     logs: list[Path], tmp_path: Path
 ) -> None:
-    whole = DiffusionDriveRun(CONFIG, logs, tmp_path / "imitation")
-    whole.fit()
+    again, whole = resumed_and_whole(lambda name: DiffusionDriveRun(CONFIG, logs, tmp_path / name))
+    assert_same_weights(again.model, whole.model)
     assert whole.model.anchors.abs().max() > 1  # clustered from what was driven
-    cut = DiffusionDriveRun(CONFIG, logs, tmp_path / "cut")
-    fit_until(cut, 3)
-    again = DiffusionDriveRun(CONFIG, logs, tmp_path / "cut")
-    assert again.step == 2
-    again.fit()
-    weights = again.model.state_dict(), whole.model.state_dict()
-    torch.testing.assert_close(*weights, rtol=0, atol=0)
 
-    before = tmp_path / "imitation" / "checkpoint.pt"
+    before = whole.checkpoint_path
     for stage in STAGES[1:]:
         settings = replace(CONFIG.objective, stage=stage)
         config = replace(CONFIG, objective=settings, before=str(before))
@@ -415,15 +413,8 @@ def test_two_processes_learn_a_stage_that_does_not_ask_all_weights(
 ) -> None:
     open_sensor_windows(logs, SensorSizes.of(MODEL.backbone))
     (tmp_path / "train.yaml").write_text(config_text(replace(CONFIG, devices=2, threads=1)))
-    # The launcher starts the program that it runs in once more, so it has to be a file.
-    program = tmp_path / "program.py"
-    program.write_text("from anchorflow_cli.main import main\n\nmain()\n")
     words = ["train", logs[0].parent, "--out", tmp_path, "--config", tmp_path / "train.yaml"]
-    answer = subprocess.run(
-        [sys.executable, program, *words], check=False, capture_output=True, text=True, timeout=300
-    )
-
-    assert answer.returncode == 0, answer.stderr
+    launched(tmp_path, *words)
     assert load_checkpoint(tmp_path / "checkpoint.pt").step == CONFIG.steps
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from training_runs import changed_since, copied_weights
+from training_runs import assert_same_weights, changed_since, copied_weights, resumed_and_whole
 
 from anchorflow_client.contract.batch import beside_route
 from anchorflow_client.sensors import route_ahead
@@ -22,10 +22,7 @@ from anchorflow_training.batches import SampledBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving.goalflow_objective import GoalFlowObjectiveConfig
-from anchorflow_training.driving.goalflow_run import (
-    GoalFlowRun,
-    GoalFlowRunConfig,
-)
+from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.proposals import PER_WAY, proposals
 from anchorflow_training.driving.windows import DrivingWindows
@@ -145,9 +142,10 @@ def test_proposals_are_judged_by_the_scorer_and_kept(
 def test_the_scorer_alone_learns_and_goes_on_where_it_stopped(
     windows: DrivingWindows, config: GoalFlowRunConfig, before: Path, tmp_path: Path
 ) -> None:
-    whole = GoalFlowRun(config, windows, tmp_path / "whole")
-    start = copied_weights(whole.model)
-    whole.fit()
+    config = replace(config, steps=3)
+    again, whole = resumed_and_whole(lambda name: GoalFlowRun(config, windows, tmp_path / name))
+    assert_same_weights(again.model, whole.model)
+    start = copied_weights(GoalFlowRun(config, windows, tmp_path / "start").model)
     changed = changed_since(start, whole.model)
     assert changed
     assert all(name.startswith("outcomes.") for name in changed)
@@ -155,14 +153,7 @@ def test_the_scorer_alone_learns_and_goes_on_where_it_stopped(
         torch.testing.assert_close(whole.model.state_dict()[name], weight, rtol=0, atol=0)
     row = whole.evaluations[-1]
     assert 0 <= row["success"] <= row["best_pdms"] <= 1
-
-    GoalFlowRun(replace(config, steps=1), windows, tmp_path / "cut").fit()
-    cut = load_checkpoint(tmp_path / "cut" / "checkpoint.pt")
-    assert cut.step == 1
-    again = GoalFlowRun(config, windows, tmp_path / "cut")
-    again.fit()
-    assert again.step == config.steps
-    restored = restore_model(load_checkpoint(tmp_path / "whole" / "checkpoint.pt"))
+    restored = restore_model(load_checkpoint(whole.checkpoint_path))
     assert isinstance(restored, GoalFlow)
     assert restored.outcomes is not None
 

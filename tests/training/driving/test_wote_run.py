@@ -15,7 +15,7 @@ from drawn_bend import drawn
 from driven_bend import bend
 from numpy.typing import NDArray
 from tiny_wote import TINY
-from training_runs import changed_since, copied_weights, fit_until
+from training_runs import assert_same_weights, changed_since, copied_weights, resumed_and_whole
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
@@ -27,18 +27,10 @@ from anchorflow_training.batches import MirroredBatchConfig
 from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, restore_model
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows, wote_run
-from anchorflow_training.driving.anchors import (
-    anchor_scores,
-    examples_of,
-    pdms,
-    trajectory_anchors,
-)
+from anchorflow_training.driving.anchors import anchor_scores, examples_of, pdms, trajectory_anchors
 from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.log_cache import open_logs
-from anchorflow_training.driving.sensor_windows import (
-    SensorSizes,
-    open_sensor_windows,
-)
+from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
 from anchorflow_training.planners import TRAININGS
 from anchorflow_training.settings import ConfigError
@@ -202,15 +194,8 @@ def test_anchors_are_centres_of_what_was_driven() -> None:
 
 
 def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:
-    whole = WoteRun(CONFIG, logs, tmp_path / "whole")
-    whole.fit()
-    cut = WoteRun(CONFIG, logs, tmp_path / "cut")
-    fit_until(cut, 3)
-    again = WoteRun(CONFIG, logs, tmp_path / "cut")
-    assert again.step == 2
-    again.fit()
-    weights = again.model.state_dict(), whole.model.state_dict()
-    torch.testing.assert_close(*weights, rtol=0, atol=0)
+    again, whole = resumed_and_whole(lambda name: WoteRun(CONFIG, logs, tmp_path / name))
+    assert_same_weights(again.model, whole.model)
     row = again.evaluations[-1]
     assert 0 <= row["success"] <= row["pdms_of_the_best"] <= 1
 

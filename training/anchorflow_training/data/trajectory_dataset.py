@@ -269,7 +269,7 @@ class TrajectoryDataset(Dataset[Sample]):
 
     def __getitem__(self, index: int) -> Sample:
         """One sample as float32 tensors, without the B axis; a subclass may override it."""
-        found = self.read(self._index(index))
+        found = self.read(np.asarray([range(len(self))[index]], np.int64))
         return {name: values[0] for name, values in _tensors(found).items()}
 
     def __getitems__(self, indices: Sequence[int]) -> Sample:
@@ -277,9 +277,6 @@ class TrajectoryDataset(Dataset[Sample]):
         if type(self).__getitem__ is not TrajectoryDataset.__getitem__:
             return stacked([self[index] for index in indices])
         return _tensors(self.read(np.asarray(indices, np.int64)))
-
-    def _index(self, index: int) -> NDArray[np.int64]:
-        return np.asarray([range(len(self))[index]], np.int64)
 
 
 def stacked(batch: Sample | list[Sample]) -> Sample:

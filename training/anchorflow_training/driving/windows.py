@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.geometry import arc_lengths, at_places
 from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
 from anchorflow_driving.sensors.bev import BEV, DRAWING, draw_bev
 from anchorflow_driving.sensors.inputs import status_of
@@ -91,9 +92,7 @@ def course_of(window: Window) -> tuple[Floats, Floats]:
     more = np.arange(SPACING, COURSE_POINTS * SPACING, SPACING)
     beyond = route.poses(arc + more, left * np.maximum(0.0, 1 - more / _RETURN))[:, :2]
     line = np.concatenate([driven[kept], beyond])
-    length = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
-    places = SPACING * np.arange(COURSE_POINTS)
-    course = np.stack([np.interp(places, length, axis) for axis in line.T], -1)
+    course = at_places(SPACING * np.arange(COURSE_POINTS), arc_lengths(line), line)
     return course.astype(np.float32), along.astype(np.float32)
 
 

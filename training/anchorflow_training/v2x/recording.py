@@ -257,9 +257,11 @@ def verify_recording(
     sequences = read_recording(folder, fault=note)
     pairs = [pair for sequence in sequences for pair in sequence.pairs.values()]
     for number, pair in enumerate(pairs):
-        for check in (_check_pictures, _check_label):
-            with told(note):
-                check(pair)
+        with told(note):
+            for file in (pair.vehicle_image, pair.infrastructure_image):
+                read_picture(file, thumb=True)
+        with told(note):
+            read_boxes(pair.label)
         progress(number + 1, len(pairs))
     askable = sum(len([*sequence.askable()]) for sequence in sequences)
     if not askable and not faults:
@@ -283,15 +285,6 @@ def read_picture(file: Path, *, thumb: bool = False) -> NDArray[np.uint8]:
     except BROKEN as error:
         raise DatasetError(f"{file}: expected a picture ({error})") from error
     return np.ascontiguousarray(pixels.transpose(2, 0, 1))
-
-
-def _check_pictures(pair: Pair) -> None:
-    for file in (pair.vehicle_image, pair.infrastructure_image):
-        read_picture(file, thumb=True)
-
-
-def _check_label(pair: Pair) -> None:
-    read_boxes(pair.label)
 
 
 def _nothing_askable(folder: Path, sequences: list[Sequence]) -> str:
