@@ -1,4 +1,4 @@
-"""Find the length of the shortest path on a grid, the reference for path lengths."""
+"""Find the shortest and the cheapest path on a grid, the references for lengths and soft costs."""
 
 from __future__ import annotations
 
@@ -18,30 +18,53 @@ MOVES = [(0, 1), (0, 2)] + [
 ]
 
 
-def shortest_grid_path(passable: NDArray[np.bool_], start: Cell, goal: Cell) -> float:
-    """Return the length in cells of the shortest path over passable cells [H, W]; NaN without one.
+def grid_path(
+    passable: NDArray[np.bool_],
+    start: Cell,
+    goal: Cell,
+    surcharge: NDArray[np.floating] | None = None,
+) -> tuple[float, NDArray[np.intp]]:
+    """Return the cheapest path over passable cells [H, W]: its cost in cells, and its cells [K, 2].
 
-    The start cell need not be passable, and a move of two cells only checks its end.
+    A move costs its length times one plus the mean surcharge of its ends. Without a path the cost
+    is NaN. The start cell need not be passable, and a move of two cells only checks its end.
     """
     passable = passable.copy()
     passable[start] = True
     numbers = np.arange(passable.size, dtype=np.int32).reshape(passable.shape)
-    tails, heads, steps = [], [], []
+    price = np.ones(passable.size) if surcharge is None else 1.0 + surcharge.ravel()
+    tails, heads, costs = [], [], []
     for move in MOVES:
         here, there = (_shifted(numbers, move, sign) for sign in (1, -1))
         open_move = _shifted(passable, move, 1) & _shifted(passable, move, -1)
         tails.append(here[open_move])
         heads.append(there[open_move])
-        steps.append(np.full(len(tails[-1]), np.hypot(*move)))
+        costs.append(np.hypot(*move) * 0.5 * (price[tails[-1]] + price[heads[-1]]))
     edges = (np.concatenate(tails), np.concatenate(heads))
-    graph = csr_array((np.concatenate(steps), edges), shape=(passable.size,) * 2)
-    lengths = dijkstra(graph, directed=False, indices=numbers[start])
-    length = float(lengths[numbers[goal]])
-    return length if np.isfinite(length) else np.nan
+    graph = csr_array((np.concatenate(costs), edges), shape=(passable.size,) * 2)
+    lengths, before = dijkstra(
+        graph, directed=False, indices=numbers[start], return_predecessors=True
+    )
+    way = [int(numbers[goal])]
+    if not np.isfinite(lengths[way[0]]):
+        return np.nan, np.empty((0, 2), np.intp)
+    while way[-1] != numbers[start]:
+        way.append(int(before[way[-1]]))
+    return float(lengths[way[0]]), np.stack(np.divmod(way[::-1], passable.shape[1]), -1)
 
 
 def shortest_way(scene: Scene) -> float:
     """Return the m of the shortest grid path that keeps robot_radius; NaN without one."""
+    return _way(scene, None)[0] * scene.resolution
+
+
+def cheapest_way(scene: Scene) -> NDArray[np.float64]:
+    """Return the points [K, 2] of the cheapest grid path that keeps robot_radius; K = 0 without."""
+    cells = _way(scene, scene.surcharge)[1]
+    return scene.origin + (cells[:, ::-1] + 0.5) * scene.resolution
+
+
+def _way(scene: Scene, surcharge: NDArray[np.floating] | None) -> tuple[float, NDArray[np.intp]]:
     occupied, ends = scene.occupied, (scene.x_curr[:2], scene.x_goal[:2])
     cells = [((end - scene.origin) / scene.resolution).astype(int)[::-1] for end in ends]
     if occupied.any():
@@ -50,7 +73,7 @@ def shortest_way(scene: Scene) -> float:
     else:
         passable = np.ones(occupied.shape, bool)
     start, goal = (np.clip(cell, 0, np.array(passable.shape) - 1) for cell in cells)
-    return shortest_grid_path(passable, tuple(start), tuple(goal)) * scene.resolution
+    return grid_path(passable, tuple(start), tuple(goal), surcharge)
 
 
 def _shifted(grid: NDArray, move: Cell, sign: int) -> NDArray:

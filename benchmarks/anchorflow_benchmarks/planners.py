@@ -133,12 +133,15 @@ class EnginePlanner:
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
     """Build the request of a scene."""
     return AnchorRequest.build(
-        cost_map=CostMap.build(scene.cost_map, scene.resolution, scene.origin),
+        cost_map=CostMap.build(
+            scene.cost_map, scene.resolution, scene.origin, scene.channel_weights
+        ),
         x_curr=scene.x_curr,
         x_goal=scene.x_goal,
         w_style=scene.w_style,
         num_samples=num,
         robot_radius=scene.robot_radius,
+        cost_penalty=scene.cost_penalty,
         seed=seed,
         sampler=SamplerChoice(sampler.method, sampler.schedule),
     )

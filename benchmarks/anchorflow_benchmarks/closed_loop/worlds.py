@@ -20,7 +20,7 @@ from scipy.ndimage import binary_erosion, label
 from scipy.spatial import KDTree
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.grid_path import shortest_grid_path, shortest_way
+from anchorflow_benchmarks.grid_path import grid_path, shortest_way
 from anchorflow_benchmarks.scene_files import (
     count_and_seed,
     held_out_scenes,
@@ -201,7 +201,7 @@ def _shortest_way(posts: Array, *, passage: float) -> float:
     passable = distance_to_cells(occupied, cell) > passage + RADIUS - cell / 2
     ends = [np.floor((np.array(point[:2]) - low) / cell).astype(int) for point in (START, GOAL)]
     start, goal = ((int(y), int(x)) for x, y in ends)
-    return cell * shortest_grid_path(passable, start, goal)
+    return cell * grid_path(passable, start, goal)[0]
 
 
 def world_of_scene(scene: FamilyScene, name: str) -> World:
