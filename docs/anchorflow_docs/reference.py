@@ -7,6 +7,7 @@ import json
 from anchorflow_client import contract
 from anchorflow_client.contract.fields import REQUEST
 from anchorflow_client.contract.request import MapScenes
+from anchorflow_client.contract.ros_grid import RosGrid
 from anchorflow_client.planner import Plan, PlannerConfig
 from anchorflow_docs.field_sources import (
     dataclass_section,
@@ -31,6 +32,8 @@ TYPES = (
     contract.SamplerChoice,
     contract.RefineChoice,
     contract.WarmStart,
+    contract.GoalTolerance,
+    RosGrid,
     contract.AnchorBatch,
     contract.ModelCard,
     contract.ModelId,
