@@ -11,7 +11,6 @@ import pytest
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 
 from anchorflow_client.contract import TruncatedDiffusionSpec
-from anchorflow_client.errors import InvalidRequest
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners import adapter_of
 from anchorflow_service.bundle.manifest import TruncatedDiffusionEntry
@@ -104,19 +103,3 @@ def test_a_score_is_the_pdm_score_times_direction_and_likelihood(client: LocalCl
     assert np.ptp(direction) > 1e-4
     assert likelihood.max() == pytest.approx(1.0, abs=1e-5)  # beside the likeliest of those kept
     assert 0.0 < likelihood.min() < 0.999
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("camera", np.zeros((3, 16, 31), np.uint8)),
-        ("camera", np.zeros((3, 16, 32), np.float32)),
-        ("lidar", np.full((1, 16, 16), 5.0, np.float32)),
-        ("ego_status", np.full(8, np.nan, np.float32)),
-        ("ego_status", np.zeros(7, np.float32)),
-    ],
-)
-def test_a_wrong_input_is_named(client: LocalClient, name: str, value: np.ndarray) -> None:
-    with pytest.raises(InvalidRequest) as raised:
-        client.plan(inputs=sensors() | {name: value})
-    assert raised.value.field == f"inputs.{name}"

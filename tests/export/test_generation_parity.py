@@ -24,9 +24,7 @@ def client(exported: Callable[[str], Any]) -> LocalClient:
 
 @pytest.mark.parametrize("project", [False, True], ids=["drawn", "projected"])
 @pytest.mark.parametrize(
-    "limits",
-    [{}, {"horizon_s": 9.0}, {"v_max": 0.6, "a_max": 0.8}],
-    ids=["open", "fixed", "slow"],
+    "limits", [{}, {"horizon_s": 9.0}, {"v_max": 0.6, "a_max": 0.8}], ids=["open", "fixed", "slow"]
 )
 @pytest.mark.parametrize(
     "warm",

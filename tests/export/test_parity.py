@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from exported_bundles import NETWORKS
 
 from anchorflow_client.contract import ModelCard
 from anchorflow_export.adapter import ExportChoices
@@ -15,11 +16,11 @@ from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
 
 
-@pytest.mark.parametrize("planner", ADAPTERS)
+@pytest.mark.parametrize("network", NETWORKS)
 def test_every_graph_and_whole_samples_are_torchs(
-    exported: Callable[[str], Any], planner: str
+    exported: Callable[[str], Any], network: str
 ) -> None:
-    made = exported(planner)
+    made = exported(network)
     bundle = load_bundle(made.path)
     compared = {difference.what.split()[0] for difference in made.differences}
     assert compared == {*bundle.manifest.graphs, "sample"}
@@ -34,8 +35,11 @@ def test_a_batch_has_the_bytes_of_its_scenes(exported: Callable[[str], Any], pla
     made = exported(planner)
     client = LocalClient.of(made.path, threads=2)
     adapter = adapter_of(planner, made.network, ExportChoices())
-    inputs: Any = adapter.request(client.engine.card, {"B": 2}, 3).inputs
-    both = client.plan(inputs=inputs, seed=1)
+    card = client.engine.card
+    inputs: Any = adapter.request(card, {"B": 2}, 3).inputs
+    asked: Any = {"seed": 1, "outputs": [spec.name for spec in card.answer.extras]}
+    both = client.plan(inputs=inputs, **asked)
     for b in range(2):
-        alone = client.plan(inputs={name: array[b] for name, array in inputs.items()}, seed=1)
-        assert both.trajectories[b].tobytes() == alone.trajectories.tobytes()
+        alone = client.plan(inputs={name: array[b] for name, array in inputs.items()}, **asked)
+        for name, array in alone.arrays.items():
+            assert both.arrays[name][b].tobytes() == array.tobytes(), name

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import logging
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -20,9 +22,9 @@ from anchorflow_service.engine.samplers.ode import OdeSampler
 
 
 @pytest.fixture
-def bundle(small_bundle: Path, tmp_path: Path) -> Path:
+def bundle(exported: Callable[[str], Any], tmp_path: Path) -> Path:
     """One to round, or to break."""
-    return shutil.copytree(small_bundle, tmp_path / "bundle")
+    return shutil.copytree(exported("flowmp").path, tmp_path / "bundle")
 
 
 def sampler_of(bundle: Bundle) -> OdeSampler:
@@ -77,10 +79,13 @@ def test_a_broken_bundle_stays_as_it_is(bundle: Path) -> None:
     assert {path.name: path.read_bytes() for path in bundle.iterdir()} == before
 
 
-def test_a_bundle_without_a_cost_map_is_refused(tmp_path: Path) -> None:
+def test_a_bundle_without_a_cost_map_is_refused(camera_bundle: Path, tmp_path: Path) -> None:
     goalflow = shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", tmp_path / "goalflow")
-    with pytest.raises(ExportError, match="with a field over a cost map, got ode"):
-        quantize_bundle(goalflow)
+    before = (camera_bundle / "manifest.json").read_bytes()
+    for folder, sampler in ((goalflow, "ode"), (camera_bundle, "vocabulary")):
+        with pytest.raises(ExportError, match=f"with a field over a cost map, got {sampler}"):
+            quantize_bundle(folder)
+    assert (camera_bundle / "manifest.json").read_bytes() == before
 
 
 def test_a_planner_without_a_cost_map_has_no_use_for_eight_bits() -> None:

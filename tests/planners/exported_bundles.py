@@ -57,11 +57,11 @@ CHOICES = {
 }
 
 
-def untaught(config: L2Config) -> nn.Module:
+def untaught(**options: Any) -> nn.Module:
     """A flow with the same weights every time; branches that start at zero would prove little."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        model = create_l2_safety_cfm(config).eval()
+        model = create_l2_safety_cfm(L2Config(map_size=16, layers=1, **options)).eval()
         for parameter in model.parameters():
             if not parameter.any():
                 nn.init.normal_(parameter, std=0.02)
@@ -81,8 +81,17 @@ def small_goalflow() -> nn.Module:
 
 
 NETWORKS: dict[str, Callable[[], Any]] = {
-    "flowmp": lambda: untaught(
-        L2Config(map_size=16, num_steps=24, num_control_points=12, layers=1)
+    "flowmp": lambda: untaught(num_steps=24, num_control_points=12),
+    "flowmp-unet": lambda: untaught(
+        map_channels=1, backbone="unet", num_steps=45, map_attention=True, map_lookup=False
+    ),
+    "flowmp-transformer": lambda: untaught(
+        map_channels=1,
+        num_steps=45,
+        steps_per_token=4,
+        map_attention=True,
+        map_scales=2,
+        feature_channels=0,
     ),
     "goalflow": small_goalflow,
     "wote": tiny_wote,
@@ -101,12 +110,12 @@ class Exported:
 
 
 @cache
-def export_once(planner: str, folder: Path) -> Exported:
-    """Export a planner's small network as `small-PLANNER`, once for each folder."""
-    out = Path(mkdtemp(dir=folder)) / "bundle"
-    name = f"small-{planner.replace('_', '-')}"
+def export_once(network: str, folder: Path) -> Exported:
+    """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`, once a folder."""
+    out, planner = Path(mkdtemp(dir=folder)) / "bundle", network.partition("-")[0]
+    name = f"small-{network.replace('_', '-')}"
     description = BundleDescription(name=name, version="1.0.0", planner=planner)
     with small_sizes():
-        network = NETWORKS[planner]()
-        adapter = adapter_of(planner, network, CHOICES.get(planner, ExportChoices()))
-        return Exported(network, out, export_bundle(adapter, description, out=out))
+        made = NETWORKS[network]()
+        adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
+        return Exported(made, out, export_bundle(adapter, description, out=out))

@@ -21,6 +21,7 @@ from anchorflow_client.contract import (
     VocabularySpec,
 )
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter, PlannerParts, Sizes
+from anchorflow_export.bundle import BundleDescription
 from anchorflow_export.tracing import random_tensor
 from anchorflow_models.registry import Planner
 from anchorflow_models.torch_graphs import Role
@@ -28,6 +29,7 @@ from anchorflow_models.torch_graphs import Role
 Outputs = dict[str, Tensor]
 
 NAME = "tiny_camera"
+DESCRIPTION = BundleDescription(name="tiny-camera", version="1.0.0", planner=NAME)
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,7 @@ class CameraPlanner(nn.Module):
         trajectories = torch.stack([x, y, heading], -1)
         order = torch.arange(len(self.aside), dtype=torch.float32)
         scores = -((self.aim * brightness - order) ** 2)
-        return {
-            "trajectories": trajectories,
-            "scores": scores,
-            "goals": trajectories[:, :, -1, :2],
-        }
+        return {"trajectories": trajectories, "scores": scores, "goals": trajectories[:, :, -1, :2]}
 
 
 PLANNER = Planner(NAME, CameraConfig, CameraPlanner)

@@ -1,7 +1,4 @@
-"""FlowMP's adapter: the graphs of a flow on a cost map.
-
-`flow_adapter` adapts any network with their interface, `flowmp_adapter` the one that is trained.
-"""
+"""FlowMP's adapter: the graphs of a flow on a cost map."""
 
 from __future__ import annotations
 
@@ -9,10 +6,8 @@ import inspect
 from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
-from torch import Tensor
 
 from anchorflow_client.contract import (
     AnswerSpec,
@@ -39,8 +34,6 @@ from anchorflow_service.engine.interfaces import Arrays
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN
 from anchorflow_trajectory.scene import ROUTE_STATES
 
-Context = dict[str, Tensor]
-
 F64 = "float64"
 PRIOR_BASIS = "prior_basis"
 ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe")
@@ -54,51 +47,17 @@ TRIALS = (
 SAMPLED = {"B": 2, "N": 17, "H": 64, "W": 48}  # N enough for two slices
 
 
-class FlowModel(Protocol):
-    """A planner of sampler kind "ode", as `anchorflow_models` writes them: an nn.Module.
-
-    Its context_for_modulate and context_for_field name the encode outputs that each of them takes.
-    """
-
-    @property
-    def encode(self) -> Callable[..., Context]:
-        """Some of ENCODE_INPUTS by name -> prior_basis [B,R,T*S], context."""
-        ...
-
-    def modulate(self, times: Tensor, context: Context) -> Tensor:
-        """Flow times [K] -> modulation [B,K,M]."""
-        ...
-
-    def field(
-        self, x_t: Tensor, prior_mean: Tensor, modulation: Tensor, context: Context
-    ) -> Tensor:
-        """States and prior means [B,N,T,S], modulation of one time [B,M] -> dx/dt [B,N,T,S]."""
-        ...
-
-
-def flow_adapter(
-    model: FlowModel,
-    *,
-    T: int,
-    D: int,
-    conditioning: CostMapSpec,
-    sampler: OdeSpec,
-    finish: SplineEntry,
-) -> PlannerAdapter:
-    """Adapt a flow model on a cost map.
-
-    T: time steps of an anchor; D: components of a pose
-    conditioning: with the grid that the model was trained on, and its limits
-    sampler, finish: defaults of a request
-    """
-    horizon_s = conditioning.limits.horizon_s
-    states = ("B", "N", T, 3 * D + 1)
-    encoded = _encode_inputs(model, D=D, channels=conditioning.channels)
-    of_modulate, of_field = (
-        getattr(model, f"context_for_{role}") for role in ("modulate", "field")
-    )
-    encode_outputs = tuple(dict.fromkeys((PRIOR_BASIS, *of_modulate, *of_field)))
+def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> PlannerAdapter:
+    """Adapt a copy of a trained network, whose noise gets the spread of the choices."""
+    config, limits = model.config, choices.limits
+    model = deepcopy(model)
+    model.prior.widen(choices.noise_scale)
+    T, D, horizon_s = config.num_steps, config.dim, limits.horizon_s
+    sampler, states = choices.sampler.over(DEFAULT_SAMPLER), ("B", "N", T, 3 * D + 1)
+    encoded = _encode_inputs(model, D=D, channels=config.map_channels)
     names = tuple(spec.name for spec in encoded)
+    of_modulate, of_field = model.context_for_modulate, model.context_for_field
+    encode_outputs = tuple(dict.fromkeys((PRIOR_BASIS, *of_modulate, *of_field)))
     return PlannerAdapter(
         parts=PlannerParts(
             inputs=(
@@ -108,13 +67,28 @@ def flow_adapter(
                 TensorSpec("x_goal", F64, ("B", 2 * D), _unit_of("m, m/s", D)),
                 TensorSpec("w_style", F64, ("B", 3), "", (0.0, None)),
             ),
-            conditioning=conditioning,
+            conditioning=CostMapSpec(
+                channels=config.map_channels,
+                H=config.map_size,
+                W=config.map_size,
+                limits=LimitsSpec(horizon_s, limits.v_max, limits.a_max, choices.robot_radius),
+                ranges=dict(choices.ranges),  # pyright: ignore[reportArgumentType] - it checks names
+            ),
             sampler=OdeEntry(
                 method=sampler.method,
                 schedule=sampler.schedule,
                 prior=PriorEntry(mean=ROUTE_STATES, basis=PRIOR_BASIS),
             ),
-            finish=finish,
+            finish=SplineEntry(
+                smooth=True,
+                project=True,
+                safety_margin=choices.safety_margin,
+                guidance=0.0,
+                steps=choices.refine_steps,
+                rate=choices.refine_rate,
+                num_control_points=config.num_control_points,
+                degree=config.degree,
+            ),
             time=TimeSpec(steps=T, first_s=0.0, dt=horizon_s and horizon_s / (T - 1)),
             answer=AnswerSpec(components=COMPONENTS[:D], arrays=ARRAYS),
         ),
@@ -129,36 +103,6 @@ def flow_adapter(
         draw=drawn_states(ROUTE_STATES),
         sample_sizes=SAMPLED,
         num_samples=SAMPLED["N"],
-    )
-
-
-def flowmp_adapter(model: L2SafetyCFM, choices: ExportChoices) -> PlannerAdapter:
-    """Adapt a copy of a trained network, whose noise gets the spread of the choices."""
-    config, limits = model.config, choices.limits
-    model = deepcopy(model)
-    model.prior.widen(choices.noise_scale)
-    return flow_adapter(
-        model,
-        T=config.num_steps,
-        D=config.dim,
-        conditioning=CostMapSpec(
-            channels=config.map_channels,
-            H=config.map_size,
-            W=config.map_size,
-            limits=LimitsSpec(limits.horizon_s, limits.v_max, limits.a_max, choices.robot_radius),
-            ranges=dict(choices.ranges),  # pyright: ignore[reportArgumentType] - it checks names
-        ),
-        sampler=choices.sampler.over(DEFAULT_SAMPLER),
-        finish=SplineEntry(
-            smooth=True,
-            project=True,
-            safety_margin=choices.safety_margin,
-            guidance=0.0,
-            steps=choices.refine_steps,
-            rate=choices.refine_rate,
-            num_control_points=config.num_control_points,
-            degree=config.degree,
-        ),
     )
 
 
@@ -204,7 +148,7 @@ _ENCODE_INPUTS = {
 }
 
 
-def _encode_inputs(model: FlowModel, *, D: int, channels: int) -> tuple[TensorSpec, ...]:
+def _encode_inputs(model: L2SafetyCFM, *, D: int, channels: int) -> tuple[TensorSpec, ...]:
     """Return the inputs of a model's `encode`, by the names of its parameters."""
     sizes: dict[str | int, int] = {"C": channels, "3D": 3 * D, "2D": 2 * D}
     specs = (_ENCODE_INPUTS[name] for name in inspect.signature(model.encode).parameters)
