@@ -1,4 +1,4 @@
-"""Bundles of small networks, each exported once a session; to read, not to change."""
+"""Bundles of small networks, each exported once; to read, not to change."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from anchorflow_export.bundle import export_bundle
 
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
-    """Exports a planner's small network, once a session."""
-    return lambda planner: export_once(planner, tmp_path_factory.getbasetemp())
+    """Exports a small network, once a session."""
+    return lambda planner: export_once(planner, tmp_path_factory)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exported_bundles import DIFFUSION
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 
 from anchorflow_client.contract import TruncatedDiffusionSpec
@@ -52,11 +53,9 @@ def test_anchors_begin_with_as_much_noise_as_is_asked_for(noise_scale: float, le
     assert sampler.start == level
 
 
-def test_no_graph_of_the_published_planner_takes_what_the_small_one_adds(
-    exported: Callable[[str], Any],
-) -> None:
+def test_no_graph_of_the_published_planner_takes_what_the_small_one_adds() -> None:
     published = tiny_diffusiondrive(replace(TINY, ego_motion=False))
-    for network, wanted in ((exported("diffusiondrive").network, True), (published, False)):
+    for network, wanted in ((tiny_diffusiondrive(DIFFUSION), True), (published, False)):
         roles = adapter_of("diffusiondrive", network, ExportChoices()).roles
         for name in ("ego_motion", "foretold"):
             assert (name in roles["encode"].outputs) is wanted

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,10 +20,8 @@ from anchorflow_training.checkpoint import load_checkpoint, restore_model
 SHIPPED = DEFAULT_BUNDLE.parent / "goalflow"
 
 
-def test_the_spread_of_the_noise_is_the_bundles_and_not_the_networks(
-    exported: Callable[[str], Any],
-) -> None:
-    model = exported("goalflow").network
+def test_the_spread_of_the_noise_is_the_bundles_and_not_the_networks() -> None:
+    model = GoalFlow(GoalFlowConfig())
     adapter = goalflow_adapter(model, ExportChoices(noise_scale=2.0))
     assert (adapter.roles["encode"].model.noise_scale, model.noise_scale) == (2.0, 1.0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -22,8 +23,9 @@ def test_every_graph_and_whole_samples_are_torchs(
 ) -> None:
     made = exported(network)
     bundle = load_bundle(made.path)
-    compared = {difference.what.split()[0] for difference in made.differences}
-    assert compared == {*bundle.manifest.graphs, "sample"}
+    compared = Counter(difference.what.split()[0] for difference in made.differences)
+    assert {*compared} == {*bundle.manifest.graphs, "sample"}
+    assert min(compared.values()) > 1  # graphs at several sizes
     assert max(difference.error for difference in made.differences) <= 1e-4
     card = bundle.card
     assert ModelCard.from_dict(json.loads(json.dumps(card.to_dict()))) == card

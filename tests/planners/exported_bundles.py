@@ -1,19 +1,22 @@
-"""A small network of each planner and its bundle, exported once for all tests that need one."""
+"""A small network of each planner, and its bundle, which is exported once for all tests."""
 
 from __future__ import annotations
 
+import json
+import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from fcntl import LOCK_EX, flock
 from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 from typing import Any
 
 import numpy as np
+import pytest
+import tiny_wote
 import torch
 from small_v2x import small_sizes, small_v2x
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
-from tiny_wote import tiny_wote
 from torch import nn
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, SamplerChoice
@@ -46,6 +49,13 @@ GOALFLOW = GoalFlowConfig(
     feature_channels=4,
     layers=1,
     outcomes=True,
+)
+# Of two sweeps of the LiDAR; "wote" has one.
+WOTE = replace(
+    tiny_wote.TINY,
+    kept=5,
+    driven=True,
+    backbone=replace(tiny_wote.TINY.backbone, lidar_before=True),
 )
 CHOICES = {
     "flowmp": ExportChoices(
@@ -94,7 +104,8 @@ NETWORKS: dict[str, Callable[[], Any]] = {
         feature_channels=0,
     ),
     "goalflow": small_goalflow,
-    "wote": tiny_wote,
+    "wote": tiny_wote.tiny_wote,
+    "wote-driven": lambda: tiny_wote.tiny_wote(WOTE),
     "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
     "v2x_vlm": small_v2x,
 }
@@ -102,20 +113,35 @@ NETWORKS: dict[str, Callable[[], Any]] = {
 
 @dataclass(frozen=True)
 class Exported:
-    """A planner's small network and its bundle; to read, not to change."""
+    """A small network and its bundle; to read, not to change."""
 
     network: Any
     path: Path
     differences: tuple[Difference, ...]
 
 
+def export_once(network: str, factory: pytest.TempPathFactory) -> Exported:
+    """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`.
+
+    It is exported once for a session and all its workers, which wait for one another.
+    """
+    folder = factory.getbasetemp()
+    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
+    return _exported(network, folder / "exported")
+
+
 @cache
-def export_once(network: str, folder: Path) -> Exported:
-    """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`, once a folder."""
-    out, planner = Path(mkdtemp(dir=folder)) / "bundle", network.partition("-")[0]
+def _exported(network: str, folder: Path) -> Exported:
+    planner, out = network.partition("-")[0], folder / network / "bundle"
     name = f"small-{network.replace('_', '-')}"
     description = BundleDescription(name=name, version="1.0.0", planner=planner)
-    with small_sizes():
+    folder.mkdir(exist_ok=True)
+    with small_sizes(), (folder / f"{network}.json").open("a+") as record:
         made = NETWORKS[network]()
-        adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
-        return Exported(made, out, export_bundle(adapter, description, out=out))
+        flock(record, LOCK_EX)
+        record.seek(0)
+        if not (text := record.read()):
+            adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
+            text = json.dumps([*map(asdict, export_bundle(adapter, description, out=out))])
+            record.write(text)
+    return Exported(made, out, tuple(Difference(**each) for each in json.loads(text)))
