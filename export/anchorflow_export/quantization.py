@@ -16,12 +16,7 @@ from typing import Any
 
 import numpy as np
 import onnx
-from onnxruntime.quantization import (
-    CalibrationDataReader,
-    QuantFormat,
-    QuantType,
-    quantize_static,
-)
+from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
 from anchorflow_client.contract import CostMapSpec, OdeSpec, resolve_for_card
 from anchorflow_export.bundle import into_place

@@ -16,13 +16,7 @@ from anchorflow_client.contract import (
     TimeSpec,
     uniform_schedule,
 )
-from anchorflow_export.adapter import (
-    COMPONENTS,
-    F32,
-    ExportChoices,
-    PlannerAdapter,
-    PlannerParts,
-)
+from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import perceived, sensor_inputs, sensor_request
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S

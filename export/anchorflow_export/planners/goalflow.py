@@ -16,13 +16,7 @@ from anchorflow_client.contract import (
     uniform_schedule,
 )
 from anchorflow_client.sensors import ROUTE_POINTS
-from anchorflow_export.adapter import (
-    COMPONENTS,
-    F32,
-    ExportChoices,
-    PlannerAdapter,
-    PlannerParts,
-)
+from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.flowmp import PRIOR_BASIS, TIMES, drawn_states, flow_roles
 from anchorflow_export.planners.random_requests import STATUS_UNIT, street_request
 from anchorflow_models.goalflow import BevLayout, GoalFlow

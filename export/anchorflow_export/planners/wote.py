@@ -13,13 +13,7 @@ from anchorflow_client.contract import (
     TimeSpec,
     VocabularySpec,
 )
-from anchorflow_export.adapter import (
-    COMPONENTS,
-    F32,
-    ExportChoices,
-    PlannerAdapter,
-    PlannerParts,
-)
+from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import perceived, sensor_inputs, sensor_request
 from anchorflow_models.sub_scores import SUB_SCORES
 from anchorflow_models.torch_graphs import Role

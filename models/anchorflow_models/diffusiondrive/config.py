@@ -5,11 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anchorflow_models.checks import check
-from anchorflow_models.transfuser import (
-    Places,
-    TransfuserConfig,
-    foretold_times,
-)
+from anchorflow_models.transfuser import Places, TransfuserConfig, foretold_times
 from anchorflow_trajectory.ode.ddim import NoiseLevels
 
 POSES = 8
