@@ -18,26 +18,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from anyio.from_thread import start_blocking_portal
 from PIL import Image
+from served import TRANSPORTS, client_over
 from small_v2x import IMAGE_SIZE, PROMPTS, small_sizes
 from starlette.testclient import TestClient
 
 from anchorflow_benchmarks.driving.pairs import judged_crossings, pair_tables
-from anchorflow_benchmarks.programs import free_endpoint
-from anchorflow_client import (
-    AnchorBatch,
-    AnchorRequest,
-    EncodedImage,
-    JsonCodec,
-    OipCodec,
-    Payload,
-)
+from anchorflow_client import AnchorBatch, EncodedImage
 from anchorflow_client.contract.fields import MAX_INPUT_TEXT_LENGTH, MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import resized
-from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
-from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners.v2x_vlm import v2x_vlm_adapter
 from anchorflow_export.tracing import ExportError
@@ -50,7 +40,6 @@ from anchorflow_service.engine.samplers.vocabulary import VocabularySampler
 from anchorflow_service.http import create_app
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
-from anchorflow_service.zenoh_endpoint import ZenohEndpoint
 from anchorflow_training.v2x.text import opened
 
 MODEL = "small-v2x-vlm"
@@ -74,13 +63,9 @@ def engine(bundle: Path) -> Engine:
 
 
 @pytest.fixture(scope="module")
-def service(engine: Engine) -> PlanningService:
-    return PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=1))
-
-
-@pytest.fixture(scope="module")
-def http(service: PlanningService) -> Iterator[TestClient]:
-    with TestClient(create_app(service)) as client:
+def http(engine: Engine) -> Iterator[TestClient]:
+    planning = PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=1))
+    with TestClient(create_app(planning)) as client:
         yield client
 
 
@@ -138,60 +123,20 @@ def assert_same(anchors: AnchorBatch, other: AnchorBatch) -> None:
 
 
 @pytest.mark.parametrize("without", [(), ("infrastructure_image",)])
+@pytest.mark.parametrize("transport", TRANSPORTS)
 def test_every_way_in_gives_the_same(
-    engine: Engine, http: TestClient, without: tuple[str, ...]
+    engine: Engine, transport: str, without: tuple[str, ...]
 ) -> None:
+    """JSON carries pictures as files, the others as arrays."""
     asked = {name: value for name, value in inputs(2).items() if name not in without}
-    local = LocalClient(engine).plan(inputs=asked)
-
-    files = {n: v if n == "prompt" else {"png": base64_of(encoded(v))} for n, v in asked.items()}
-    answer = http.post("/anchors", json={"inputs": files})
-
-    assert answer.status_code == 200, answer.text
-    told = answer.json()
-    np.testing.assert_allclose(told["trajectories"], local.trajectories, atol=1e-6)
-    assert told.get("absent_inputs", "") == ",".join(without)
-    assert_same(JsonCodec().decode_answer(Payload(answer.content)), local)
-
-    codec = OipCodec()
-    payload = codec.encode_request(AnchorRequest.build(inputs=asked))
-    binary = http.post(
-        "/anchors",
-        content=payload.body,
-        headers={
-            "Content-Type": codec.content_type,
-            "Inference-Header-Content-Length": str(payload.header_length),
-        },
-    )
-    assert binary.status_code == 200, binary.text
-    length = int(binary.headers["Inference-Header-Content-Length"])
-    assert_same(codec.decode_answer(Payload(binary.content, length)), local)
-
-
-def test_zenoh_carries_pictures_and_text(engine: Engine) -> None:
-    service = PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=1))
-    endpoint = free_endpoint()
-    session = open_session(ZenohSettings(listen=(endpoint,)))
-    app = create_app(service, endpoints=[ZenohEndpoint(service, session)])
-    asked = inputs(3)
-    del asked["infrastructure_image"]
-    with (
-        start_blocking_portal() as portal,
-        portal.wrap_async_context_manager(app.router.lifespan_context(app)),
-        ZenohAnchorClient(endpoint, timeout_s=20) as client,
-    ):
-        assert_same(client.plan(inputs=asked), LocalClient(engine).plan(inputs=asked))
+    files = {n: v if n == "prompt" else EncodedImage("png", encoded(v)) for n, v in asked.items()}
+    planning = PlanningService({MODEL: engine}, default=MODEL, limits=ServiceLimits(threads=1))
+    with client_over(transport, planning) as client:
+        anchors = client.plan(inputs=files if transport == "json" else asked)
         (card,) = client.models()
-        assert card.inputs[1].optional
-
-
-def test_a_batch_equals_its_scenes_alone(engine: Engine) -> None:
-    client, prompts = LocalClient(engine), [PROMPTS[1], "Stop."]  # of different lengths
-    pictures = np.stack([picture(7), picture(8)])
-    together = client.plan(inputs={"vehicle_image": pictures, "prompt": prompts})
-    for scene, prompt in enumerate(prompts):
-        alone = client.plan(inputs={"vehicle_image": pictures[scene], "prompt": prompt})
-        assert together.trajectories[scene].tobytes() == alone.trajectories.tobytes()
+    assert_same(anchors, LocalClient(engine).plan(inputs=asked))
+    assert anchors.absent_inputs == without
+    assert card.inputs[1].optional
 
 
 def test_a_smaller_request_has_the_same_answer(engine: Engine) -> None:
