@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 import torch
 from driven_bend import bend
-from exported_bundles import GOALFLOW, export_once
+from exported_bundles import GOALFLOW, WOTE, export_once
 from image_planner import HEIGHT, WIDTH, K, expected, write_image_bundle
 from served import TRANSPORTS, client_over
-from tiny_wote import TINY, sensors, tiny_wote
+from tiny_wote import sensors
 
 from anchorflow_client import AnchorBatch
 from anchorflow_client.base_client import BaseClient
@@ -28,9 +28,6 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
-from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.bundle import BundleDescription, export_bundle
-from anchorflow_export.planners import adapter_of
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.local import LocalClient
@@ -39,8 +36,6 @@ from anchorflow_service.planning import PlanningService, ServiceLimits
 Inputs = dict[str, np.ndarray]
 SPEED = 3.0
 STATUS = np.array([SPEED, 0.0, 0.0, 0.0], np.float32)
-# A bundle of two sweeps; tests/export compares one with a single sweep with torch.
-WOTE = replace(TINY, kept=5, driven=True, backbone=replace(TINY.backbone, lidar_before=True))
 OF_EACH = ("offsets", "im_rewards", "sim_rewards")
 OF_THE_SCENE = ("agents", "agent_scores", "bev_semantics")
 
@@ -85,26 +80,26 @@ class Planner:
         """The arguments of a request with every output."""
 
 
-def camera_planner(folder: Path) -> Planner:
+def camera_planner(factory: pytest.TempPathFactory) -> Planner:
     extras = ("goals", "bev_semantics")
-    return Planner(write_image_bundle(folder), camera_scene, extras, "vocabulary", 8)
+    return Planner(
+        write_image_bundle(factory.mktemp("camera")), camera_scene, extras, "vocabulary", 8
+    )
 
 
-def goalflow_planner(folder: Path) -> Planner:
-    made = export_once("goalflow", folder.parent)
+def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
+    made = export_once("goalflow", factory)
     assert max(difference.error for difference in made.differences) < 1e-4
     options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
     extras, steps = ("goals", "goal_scores"), GOALFLOW.num_steps
     return Planner(made.path, goalflow_scene, extras, "ode", steps, ("route",), options)
 
 
-def wote_planner(folder: Path) -> Planner:
-    adapter = adapter_of("wote", tiny_wote(WOTE), ExportChoices())
-    description = BundleDescription(name="tiny-wote", version="1.0.0", planner="wote")
-    differences = export_bundle(adapter, description, out=folder / "bundle")
-    assert max(part.error for part in differences) <= 1e-5
+def wote_planner(factory: pytest.TempPathFactory) -> Planner:
+    made = export_once("wote-driven", factory)
+    assert max(part.error for part in made.differences) <= 1e-5
     extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before",)
-    return Planner(folder / "bundle", wote_scene, extras, "vocabulary", 8, optional)
+    return Planner(made.path, wote_scene, extras, "vocabulary", 8, optional)
 
 
 PLANNERS = {"camera": camera_planner, "goalflow": goalflow_planner, "wote": wote_planner}
@@ -112,7 +107,7 @@ PLANNERS = {"camera": camera_planner, "goalflow": goalflow_planner, "wote": wote
 
 @pytest.fixture(scope="module", params=PLANNERS)
 def planner(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Planner:
-    return PLANNERS[request.param](tmp_path_factory.mktemp(request.param))
+    return PLANNERS[request.param](tmp_path_factory)
 
 
 @pytest.fixture(scope="module", params=TRANSPORTS)
