@@ -20,7 +20,7 @@ from driven_bend import bend
 from exported_bundles import GOALFLOW, WOTE, export_once
 from image_planner import HEIGHT, WIDTH, K, expected, write_image_bundle
 from served import TRANSPORTS, client_over
-from tiny_wote import sensors
+from tiny_wote import sensors, tiny_wote
 
 from anchorflow_client import AnchorBatch
 from anchorflow_client.base_client import BaseClient
