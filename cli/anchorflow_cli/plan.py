@@ -31,6 +31,7 @@ from anchorflow_cli.options import (
     url_option,
 )
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
+from anchorflow_client.contract.fields import DEFAULT_COST_PENALTY
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.ros_map import load_ros_map, map_window
 from anchorflow_service.bundle import DEFAULT_BUNDLE
@@ -58,6 +59,23 @@ def plan(
         float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
     ] = None,
     unknown_is_free: UnknownIsFreeOption = False,
+    cost_penalty: Annotated[
+        float | None,
+        typer.Option(
+            help="Metres of detour that one metre through soft cost 1 is worth.",
+            show_default=f"{DEFAULT_COST_PENALTY:g}",
+        ),
+    ] = None,
+    clear_start: Annotated[
+        bool, typer.Option("--clear-start", help="Free the cells under the robot at the start.")
+    ] = False,
+    goal_tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Distance [m] at which another place may stand for an occupied goal.",
+            show_default="exact",
+        ),
+    ] = None,
     out: Annotated[Path | None, picture_option("Picture to draw")] = None,
     url: Annotated[
         str | None, url_option("Ask this server instead of the engine in-process.")
@@ -81,6 +99,9 @@ def plan(
         a_max=a_max,
         robot_radius=radius,
         horizon_s=horizon,
+        cost_penalty=cost_penalty,
+        clear_start=clear_start,
+        goal_tolerance=None if goal_tolerance is None else {"position": goal_tolerance},
     )
     opened = AnchorClient(url) if url else LocalClient.of(bundle or DEFAULT_BUNDLE)
     with opened as client:

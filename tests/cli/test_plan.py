@@ -16,7 +16,7 @@ from PIL import Image
 from ros_maps import write_map
 
 from anchorflow_cli.plots import durations_text
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
+from anchorflow_client.contract import STYLES, AnchorBatch, AnchorRequest, GoalTolerance, ModelId
 from anchorflow_service.local import LocalClient
 
 
@@ -77,7 +77,8 @@ def test_the_options_become_the_request(map_file: Path, requests: list[AnchorReq
     limits = ("--v-max", 0.5, "--a-max", 2.5, "--robot-radius", 0.3, "--horizon", 12)
     succeed("plan", "--map", map_file, *ends, *choices, *limits)
     turned = ("--start", "-2,1,0.5", "--goal", "3,-1,0.2", "--goal-velocity", "1,0,0.1")
-    succeed("plan", "--map", map_file, *turned, "--style", "efficient")
+    allowed = ("--cost-penalty", 4, "--clear-start", "--goal-tolerance", 0.5)
+    succeed("plan", "--map", map_file, *turned, "--style", "efficient", *allowed)
 
     whole, heading = requests
     np.testing.assert_array_equal(whole.x_curr, [[-2, 1.5, 0.5, 0, 0, 0]])
@@ -87,9 +88,12 @@ def test_the_options_become_the_request(map_file: Path, requests: list[AnchorReq
     assert (whole.v_max, whole.a_max, whole.robot_radius, whole.horizon_s) == (0.5, 2.5, 0.3, 12)
     assert whole.cost_map.data.shape == (1, 1, 100, 100)
     assert not whole.batched
+    assert (whole.cost_penalty, whole.clear_start, whole.goal_tolerance) == (None, False, None)
+    assert (heading.cost_penalty, heading.clear_start) == (4, True)
+    assert heading.goal_tolerance == GoalTolerance(0.5)
     np.testing.assert_array_equal(heading.x_curr, [[-2, 1, 0.5, 0, 0, 0, 0, 0, 0]])
     np.testing.assert_array_equal(heading.x_goal, [[3, -1, 0.2, 1, 0, 0.1]])
-    np.testing.assert_allclose(heading.w_style, [[0.1, 0.8, 0.1]])
+    np.testing.assert_allclose(heading.w_style, [STYLES["efficient"]])
     assert heading.cost_map.data.shape[-1] > 100  # the window covers x and y
     assert (heading.num_samples, heading.seed, heading.robot_radius) == (64, None, None)
 
