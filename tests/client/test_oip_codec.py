@@ -12,6 +12,7 @@ import pytest
 from staged_planner import made_batch
 
 from anchorflow_client import (
+    STYLES,
     AnchorBatch,
     AnchorRequest,
     InvalidAnswer,
@@ -242,7 +243,7 @@ def test_a_style_and_a_uniform_schedule_may_be_parameters() -> None:
     named = {"w_style": "efficient", "sampler.schedule.uniform": 2}
     request = CODEC.decode_request(by_hand(parameters=named))
 
-    assert request.w_style.tolist() == [[0.1, 0.8, 0.1]]
+    assert request.w_style.tolist() == [[*STYLES["efficient"]]]
     assert request.sampler is not None
     assert request.sampler.schedule == (0.0, 0.5, 1.0)
 

@@ -78,5 +78,5 @@ def test_pictures_of_what_an_answer_is_made_of_are_drawn(stage: Stage) -> None:
 
     assert {"routes", "splines along them", "anchors"} <= set(titles["fields"])
     assert titles["pipeline"] == [*STEPS]
-    assert titles["styles"][0] == "conservative: 0.8, 0.1, 0.1"
+    assert titles["styles"][0] == "conservative: 0.7, 0.1, 0.2"
     assert titles["warm_start"][0] == "from noise"

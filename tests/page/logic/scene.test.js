@@ -84,8 +84,8 @@ test("a request has the values of the card, and a planner without a map only its
 
 test("the named styles are the contract's", () => {
   assert.deepEqual(STYLES, references.styles);
-  assert.equal(styleName([0.1, 0.8, 0.1]), "efficient");
-  assert.equal(styleName([0.1, 0.7995, 0.1005]), "efficient");
+  assert.equal(styleName([0.2, 0.5, 0.3]), "efficient");
+  assert.equal(styleName([0.2, 0.4995, 0.3005]), "efficient");
   assert.equal(styleName([0.5, 0.5, 0]), "custom");
 });
 
