@@ -55,6 +55,32 @@ def test_nothing_can_be_chosen_before_a_planner_is_known(open_page: Callable[...
     assert visit.errors == []
 
 
+def test_the_best_anchor_goes_round_risk_that_is_painted(visit: Any, artefacts: Path) -> None:
+    visit.choose_empty_map()
+    visit.locate("#layer").select_option("risk")
+    expect(visit.locate("#cost")).to_be_visible()
+    visit.locate("#brush").fill("1.6")
+
+    answered = visit.answer(
+        lambda: visit.drag(visit.at((0.0, -0.6)), visit.at((0.0, 0.6))),
+        lambda asked: (
+            len(asked["cost_map"]["data"]) == 3 and bool(np.any(asked["cost_map"]["data"][2]))
+        ),
+    )
+    visit.page.wait_for_timeout(300)
+    visit.page.screenshot(path=artefacts / "page_risk.png")
+    assert not visit.occupied(answered.asked).any()
+    assert np.min(answered.asked["cost_map"]["data"][1]) == 1.0
+
+    settled = visit.answer(
+        lambda: visit.locate("#cost_penalty").fill("6"), lambda asked: asked["cost_penalty"] == 6
+    )
+    best = np.argmax(settled.answered["scores"])
+    path = np.array(settled.answered["trajectories"][best])
+    near = np.hypot(path[:, 0], np.maximum(np.abs(path[:, 1]) - 0.6, 0.0))
+    assert near.min() > 0.7
+
+
 def test_anchors_go_round_a_wall_that_is_drawn(visit: Any, artefacts: Path) -> None:
     before = visit.choose_empty_map()
     visit.page.wait_for_timeout(300)

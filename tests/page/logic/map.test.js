@@ -15,7 +15,7 @@ test("a grid is inflated by distances of SciPy", () => {
   const grid = new Grid(occupied.length, occupied[0].length, resolution);
   occupied.forEach((row, r) => row.forEach((cell, c) => grid.set(r, c, cell ? OCCUPIED : FREE)));
 
-  assert.deepEqual(grid.inflated(radius).occupancy(), inflated);
+  assert.deepEqual(grid.inflated(radius).channels()[0], inflated);
   const [x, y] = grid.centre(3, 4);
   assert.ok(grid.gap(x, y) === 0 && grid.gap(x, y + 0.15) <= 0.05 + 1e-9);
 });
@@ -70,7 +70,7 @@ for (const [k, { yaml, picture, occupied, resolution, origin }] of references.ma
     const others = file("0.pgm", "P5\n2 2\n255\n\0\0\0\0");
     const { grid, note } = await readMap([others, file("a.pgm", Buffer.from(picture, "base64")), file("map.yaml", yaml)]);
 
-    assert.deepEqual(grid.occupancy(), occupied);
+    assert.deepEqual(grid.channels()[0], occupied);
     assert.equal(grid.resolution, resolution);
     close(grid.origin, origin);
     assert.match(note, /^a\.pgm: 5\.0 × 4\.0 m/);

@@ -132,6 +132,8 @@ const open = (request) => readScene("a.json", typeof request === "string" ? requ
 test("a saved scene opens as it was", () => {
   const scene = sceneFor(mapCard);
   scene.grid.stroke([0, 1], [0, 2], 0.1, OCCUPIED);
+  scene.grid.stroke([0, -1], [0, -2], 0.1, 0.7, "traversability");
+  scene.grid.stroke([1, -1], [1, -2], 0.1, 0.4, "risk");
   Object.assign(scene.options, { num_samples: 8, seed: 7, horizon_s: 20, "refine.barrier": true });
   scene.style = STYLES.efficient;
   const request = scene.request();
@@ -148,6 +150,20 @@ test("a saved scene opens as it was", () => {
   assert.deepEqual(JSON.parse(toJson(request)), request);
 });
 
+test("soft costs are further channels, with the neutral values of the contract, and are undone", () => {
+  const scene = sceneFor(mapCard);
+  const at = ([channel]) => scene.request().cost_map.data.map((rows) => rows[25][30 + channel]);
+  assert.equal(scene.request().cost_map.data.length, 1);
+  scene.remember();
+  scene.grid.stroke([0.05, 0.05], [0.05, 0.05], 0.05, 0.7, "traversability");
+  assert.deepEqual(at([0]), [0, 0.3]);
+  scene.grid.stroke([0.05, 0.05], [0.05, 0.05], 0.05, 0.9, "further");
+  assert.deepEqual([at([0]), at([5])], [[0, 0.3, 0, 0.9], [0, 1, 0, 0]]);
+  assert.equal(scene.grid.softCost(25 * 60 + 30), 0.9);
+  scene.undo();
+  assert.deepEqual(at([0]), [0]);
+});
+
 test("a scene keeps its acceleration; null is not given", () => {
   const { ends, options, left } = open({ ...place, robot_radius: null, horizon_s: null, refine: null });
   assert.deepEqual(ends.start, { x: -2, y: 0, vx: 0.5, vy: 0.25, ax: 1, ay: -0.5 });
@@ -161,6 +177,8 @@ test("what a scene has beyond the page is named", () => {
   assert.equal(open({ ...place, model: "student" }).card.name, "student");
   const unknown = open({ ...place, model: "v2x" });
   assert.deepEqual([unknown.card, unknown.left], [mapCard, ["model, as no v2x with a map is served"]]);
+  const many = { ...free, data: Array(5).fill(free.data[0]), channel_weights: [1, 1, 1, 1] };
+  assert.deepEqual(open({ ...place, cost_map: many }).left, ["cost_map beyond its channel 3", "cost_map.channel_weights"]);
 });
 
 for (const [request, message] of [
@@ -199,6 +217,12 @@ test("the binary form carries arrays as tensors and other fields by their path",
   close(new Float64Array(tensors[0].buffer), [-2, 0, 0.5, 0, 1, 0]);
   const { "sampler.method": method, "refine.safety_margin": margin, "warm_start.tau": tau, v_max } = parameters;
   assert.deepEqual([method, margin, tau, v_max], ["midpoint", 0.1, 0.8, 2]);
+
+  const scene = sceneFor(mapCard);
+  scene.grid.stroke([0, 0], [0, 0], 0.1, 1, "risk");
+  const asked = pack(scene.request());
+  const [map] = JSON.parse(new TextDecoder().decode(asked.header)).inputs.slice(-1);
+  assert.deepEqual([map.name, map.shape, asked.tensors.at(-1).length], ["cost_map", [3, 50, 60], 3 * 50 * 60 * 4]);
 });
 
 test("a question that fails does not silence the planner", async () => {

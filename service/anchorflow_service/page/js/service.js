@@ -106,13 +106,14 @@ export async function plan(request) {
 /** Arrays become tensors, all other fields parameters named by their JSON path. */
 export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: style, warm_start: warm, ...rest }) {
   const [rows] = map.data;
+  const cells = [map.data.length, rows.length, rows[0].length];
   const inputs = [
     ["x_curr", "FP64", [start.length], start],
     ["x_goal", "FP64", [goal.length], goal],
     ["w_style", "FP64", [style.length], style],
     ["map_geometry", "FP64", [3], [...map.origin, map.resolution]],
     ...(warm ? [["warm_start", "FP64", [warm.trajectory.length, warm.trajectory[0].length], warm.trajectory.flat()]] : []),
-    ["cost_map", "FP32", [1, rows.length, rows[0].length], rows.flat()],
+    ["cost_map", "FP32", cells, map.data.flat(2)],
   ];
   const tensors = inputs.map(([, datatype, , values]) => new Uint8Array(ARRAYS[datatype].from(values).buffer));
   const entries = inputs.map(([name, datatype, shape], k) => {

@@ -1,4 +1,4 @@
-/** An occupancy grid in the contract's frame (row grows with y, column with x) and what is measured on it. */
+/** A cost map in the contract's frame (row grows with y, column with x) and what is measured on it. */
 
 import { clamp } from "../dom.js";
 
@@ -6,6 +6,11 @@ export const FREE = 0;
 export const OCCUPIED = 1;
 /** Unknown space of a ROS map; requests carry it as occupied. */
 export const UNKNOWN = 2;
+
+/** The channels of a cost map that make ground dear, each with its neutral value in requests. */
+export const SOFT_LAYERS = { traversability: 1, risk: 0, further: 0 };
+/** Soft costs are kept in hundredths. */
+const WHOLE = 100;
 
 /** m between the robot and an obstacle at the start and the goal that the page chooses. */
 const SPARE = 0.12;
@@ -20,6 +25,31 @@ export class Grid {
    */
   constructor(rows, columns, resolution, origin = [(-columns * resolution) / 2, (-rows * resolution) / 2]) {
     Object.assign(this, { rows, columns, resolution, origin, cells: new Uint8Array(rows * columns) });
+    /** {layer: hundredths of soft cost by cell}, of the layers that were painted. */
+    this.soft = {};
+  }
+
+  /** A copy of all cells, for `restore`. */
+  snapshot() {
+    const soft = Object.entries(this.soft).map(([name, cells]) => [name, cells.slice()]);
+    return { cells: this.cells.slice(), soft: Object.fromEntries(soft) };
+  }
+
+  restore({ cells, soft }) {
+    this.cells.set(cells);
+    this.soft = soft;
+  }
+
+  /** The soft cost of a cell from 0 to 1: its dearest layer. */
+  softCost(index) {
+    return Math.max(0, ...Object.values(this.soft).map((cells) => cells[index])) / WHOLE;
+  }
+
+  /** Set the soft cost of a cell in a layer, from 0 to 1. */
+  setSoft(layer, row, column, cost) {
+    if (!this.contains(row, column)) return;
+    this.soft[layer] ??= new Uint8Array(this.cells.length);
+    this.soft[layer][row * this.columns + column] = Math.round(WHOLE * cost);
   }
 
   /** Width and height in m. */
@@ -70,8 +100,11 @@ export class Grid {
     return [x, y].map((value, axis) => clamp(value, this.origin[axis] + half, this.origin[axis] + this.size[axis] - half));
   }
 
-  /** Set all cells whose middle is within `radius` m of the segment from a to b ([x, y] each). */
-  stroke(a, b, radius, value) {
+  /**
+   * Set all cells whose middle is within `radius` m of the segment from a to b ([x, y] each): to a
+   * value, or in a soft layer to a cost from 0 to 1.
+   */
+  stroke(a, b, radius, value, layer = null) {
     const [rowA, columnA] = this.toCells(...a);
     const [rowB, columnB] = this.toCells(...b);
     const reach = Math.max(radius / this.resolution, 0.5);
@@ -81,7 +114,9 @@ export class Grid {
       for (let column = Math.floor(Math.min(columnA, columnB) - reach); column <= Math.max(columnA, columnB) + reach; column++) {
         const [r, c] = [row + 0.5 - rowA, column + 0.5 - columnA];
         const along = clamp((r * dr + c * dc) / length2, 0, 1);
-        if (Math.hypot(r - along * dr, c - along * dc) <= reach) this.set(row, column, value);
+        if (Math.hypot(r - along * dr, c - along * dc) > reach) continue;
+        if (layer) this.setSoft(layer, row, column, value);
+        else this.set(row, column, value);
       }
     }
   }
@@ -112,10 +147,22 @@ export class Grid {
     return region(this, row * this.columns + column, (index) => this.cells[index] === OCCUPIED, 2);
   }
 
-  /** [H][W] of 0 and 1, one channel of `cost_map.data`. */
-  occupancy() {
-    const row = (r) => this.cells.subarray(r * this.columns, (r + 1) * this.columns);
-    return Array.from({ length: this.rows }, (_, r) => Array.from(row(r), (cell) => (cell ? 1 : 0)));
+  /** [C][H][W] of `cost_map.data`: the occupancy, and further channels up to the last that was painted. */
+  channels() {
+    const names = Object.keys(SOFT_LAYERS);
+    const painted = names.filter((name) => this.soft[name]?.some(Boolean));
+    const soft = names.slice(0, names.indexOf(painted.at(-1)) + 1).map((name) => {
+      const cells = this.soft[name] ?? new Uint8Array(this.cells.length);
+      const neutral = SOFT_LAYERS[name];
+      return this.#rows(cells, (cost) => Math.abs(neutral * WHOLE - cost) / WHOLE);
+    });
+    return [this.#rows(this.cells, (cell) => (cell ? 1 : 0)), ...soft];
+  }
+
+  /** [H][W] of values made from cells. */
+  #rows(cells, toValue) {
+    const row = (r) => cells.subarray(r * this.columns, (r + 1) * this.columns);
+    return Array.from({ length: this.rows }, (_, r) => Array.from(row(r), toValue));
   }
 }
 

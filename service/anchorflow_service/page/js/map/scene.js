@@ -90,14 +90,14 @@ export class Scene {
 
   /** Keep the map for `undo`, before cells change. */
   remember() {
-    this.#undo.push(this.grid.cells.slice());
+    this.#undo.push(this.grid.snapshot());
     if (this.#undo.length > MAX_UNDO) this.#undo.shift();
   }
 
   undo() {
-    const cells = this.#undo.pop();
-    if (!cells) return;
-    this.grid.cells.set(cells);
+    const before = this.#undo.pop();
+    if (!before) return;
+    this.grid.restore(before);
     this.changed("map");
   }
 
@@ -117,7 +117,7 @@ export class Scene {
     const { x, y, vx, vy, ax = 0, ay = 0 } = state;
     const heading = Math.atan2(goal.y - y, goal.x - x);
     return {
-      cost_map: { data: [grid.occupancy()], resolution: grid.resolution, origin: grid.origin },
+      cost_map: { data: grid.channels(), resolution: grid.resolution, origin: grid.origin },
       x_curr: [...this.#vector([x, y], heading), ...this.#vector([vx, vy]), ...this.#vector([ax, ay])],
       x_goal: [...this.#vector([goal.x, goal.y], heading), ...this.#vector([goal.vx, goal.vy])],
       w_style: this.style,

@@ -2,17 +2,21 @@
 
 import { described } from "../fields.js";
 import { pythonProgram } from "../share.js";
-import { Grid, OCCUPIED } from "./grid.js";
+import { Grid, OCCUPIED, SOFT_LAYERS } from "./grid.js";
 import { STYLES } from "./scene.js";
 
 /** Fields that the page can ask beside those of the form. */
 const CARRIED = ["cost_map", "x_curr", "x_goal", "w_style"];
+/** Channels of a map that the page paints. */
+const CHANNELS = 1 + Object.keys(SOFT_LAYERS).length;
+/** How the drawing of a program tells tenths of a channel. */
+const TENTHS = "0123456789X";
 
 /** A request as a file, with one line for each row of the map. */
 export function toJson({ cost_map: { data, ...place }, ...rest }) {
   const inner = (object) => JSON.stringify(object).slice(1, -1);
-  const rows = data[0].map((row) => JSON.stringify(row)).join(",\n");
-  return `{"cost_map": {"data": [[\n${rows}]],\n${inner(place)}},\n${inner(rest)}}\n`;
+  const channels = data.map((rows) => `[\n${rows.map((row) => JSON.stringify(row)).join(",\n")}]`).join(",");
+  return `{"cost_map": {"data": [${channels}],\n${inner(place)}},\n${inner(rest)}}\n`;
 }
 
 /**
@@ -66,7 +70,8 @@ function fromRequest(request, card, fields) {
   const isUniform = "sampler.schedule.uniform" in options;
   options["sampler.method"] = isUniform ? (options["sampler.method"] ?? "rk4") : null;
   if (request.sampler && !isUniform) left.push("sampler");
-  if (request.cost_map.data.length > 1) left.push("cost_map beyond its first channel");
+  if (request.cost_map.data.length > CHANNELS) left.push(`cost_map beyond its channel ${CHANNELS - 1}`);
+  if (request.cost_map.channel_weights) left.push("cost_map.channel_weights");
   if (dim === 3) left.push("headings");
   return { grid, ends: { start, goal: end(goal) }, style, options, left };
 }
@@ -80,11 +85,14 @@ function numbers(values, field, count) {
 function readGrid({ data, resolution, origin } = {}) {
   const channel = data?.[0];
   const isRow = (row) => Array.isArray(row) && row.length === channel[0].length && row.every(Number.isFinite);
-  const isGood = Array.isArray(channel) && channel.length > 0 && channel.every(isRow);
-  if (!isGood) throw new Error("cost_map.data: expected [C,H,W], the occupancy in its first channel.");
+  const isChannel = (rows) => Array.isArray(rows) && rows.length > 0 && rows.length === channel.length && rows.every(isRow);
+  if (!Array.isArray(data) || !data.every(isChannel)) throw new Error("cost_map.data: expected [C,H,W], the occupancy in its first channel.");
   if (!(Number.isFinite(resolution) && resolution > 0)) throw new Error(`cost_map.resolution: expected more than 0 m, got ${described(resolution)}.`);
   const grid = new Grid(channel.length, channel[0].length, resolution, origin && numbers(origin, "cost_map.origin", 2));
   channel.forEach((row, r) => row.forEach((value, c) => { if (value >= 0.5) grid.set(r, c, OCCUPIED); }));
+  Object.entries(SOFT_LAYERS).forEach(([name, neutral], k) => {
+    data[k + 1]?.forEach((row, r) => row.forEach((value, c) => { if (value !== neutral) grid.setSoft(name, r, c, Math.abs(neutral - value)); }));
+  });
   return grid;
 }
 
@@ -100,17 +108,28 @@ function readStyle(asked) {
 
 /** A request as a program in Python, with the map as a drawing. */
 export function toPython({ cost_map: { data, ...place }, ...rest }) {
-  // The top line of the drawing is the last row of the map.
-  const lines = data[0].map((row) => row.map((cell) => (cell ? "#" : ".")).join("")).reverse();
+  // The top line of a drawing is the last row of the map.
+  const drawing = (rows, mark) => rows.map((row) => row.map(mark).join("")).reverse().join("\n");
+  const soft = data.slice(1).map((rows) => `"""
+${drawing(rows, (value) => TENTHS[Math.round(10 * value)])}
+""",
+`);
   return pythonProgram({
     imports: "import numpy as np\nfrom anchorflow_client import AnchorClient\n",
     before: `drawn = """
-${lines.join("\n")}
+${drawing(data[0], (cell) => (cell ? "#" : "."))}
 """.split()
 # Row 0 of a map has the smallest y, so the drawing is turned over.
 occupancy = np.array([[cell == "#" for cell in row] for row in reversed(drawn)], float)
-`,
-    named: "        cost_map=occupancy,\n",
+${soft.length ? `# ${Object.keys(SOFT_LAYERS).slice(0, soft.length).join(", ")}: tenths, X is 1.
+layers = [
+${soft.join("")}]
+soft = [
+    [["${TENTHS}".index(cell) / 10 for cell in row] for row in reversed(layer.split())]
+    for layer in layers
+]
+` : ""}`,
+    named: soft.length ? "        cost_map=np.stack([occupancy, *soft]),\n" : "        cost_map=occupancy,\n",
     fields: { ...place, ...rest },
     after: 'print(f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe")',
   });

@@ -8,6 +8,8 @@ import { Surface, circle, drawAnchors, stroke } from "../drawing.js";
 import { clamp } from "../dom.js";
 import { OCCUPIED, UNKNOWN } from "./grid.js";
 
+/** Opacity of ground of soft cost 1. */
+const DEAREST = 0.75;
 /** m of arrow for each m/s, and px between a point and the foot of its arrow. */
 const ARROW_M_PER_MPS = 0.45;
 const ARROW_FOOT_PX = 13;
@@ -138,17 +140,31 @@ export class Stage extends Surface {
     context.clip();
     context.fillStyle = colours.map;
     context.fill();
-    const [wall, unknown] = [cellsOf(grid, OCCUPIED), cellsOf(grid, UNKNOWN)];
+    const [wall, unknown] = [OCCUPIED, UNKNOWN].map((value) => cellsOf(grid, (row, column) => grid.at(row, column) === value));
     // The band where the robot's middle must not be.
     Object.assign(context, { strokeStyle: colours.halo, lineJoin: "round", lineWidth: (2 * options.robot_radius) / grid.resolution });
     context.stroke(wall);
     context.stroke(unknown);
+    this.#paintSoftCosts(context);
     this.#paintMetres(context);
     context.fillStyle = colours.unknown;
     context.fill(unknown);
     context.fillStyle = colours.wall;
     context.fill(wall);
     context.restore();
+  }
+
+  /** Soft costs as a heat map, in tenths. */
+  #paintSoftCosts(context) {
+    const { grid } = this.scene;
+    if (!Object.keys(grid.soft).length) return;
+    const costs = Array.from(grid.cells, (_, index) => Math.round(10 * grid.softCost(index)));
+    context.fillStyle = this.colours.dear;
+    for (let tenths = 1; tenths <= 10; tenths++) {
+      context.globalAlpha = tenths * DEAREST / 10;
+      context.fill(cellsOf(grid, (row, column) => costs[row * grid.columns + column] === tenths));
+    }
+    context.globalAlpha = 1;
   }
 
   /** A dot at every whole metre, in cells. */
@@ -189,13 +205,13 @@ export class Stage extends Surface {
   }
 }
 
-/** A path in cells (x = column, y = row) of the rows of cells that hold a value. */
-function cellsOf(grid, value) {
+/** A path in cells (x = column, y = row) of the rows of cells that belong to it. */
+function cellsOf(grid, belongs) {
   const path = new Path2D();
   for (let row = 0; row < grid.rows; row++) {
     for (let column = 0, first; column < grid.columns; column = first + 1) {
       first = column;
-      while (first < grid.columns && grid.at(row, first) === value) first++;
+      while (first < grid.columns && belongs(row, first)) first++;
       if (first > column) path.rect(column, row, first - column, 1);
     }
   }

@@ -1,4 +1,4 @@
-/** What the pointer and the keyboard do on the map: paint, erase and push obstacles, move the ends. */
+/** What the pointer and the keyboard do on the map: paint, erase and push what is there, move the ends. */
 
 import { byId, clamp, showFill } from "../dom.js";
 import { FREE, OCCUPIED } from "./grid.js";
@@ -15,6 +15,9 @@ export class Painting {
   tool = "paint";
   /** Radius in m. */
   brush = 0.2;
+  /** The soft layer that is painted, null for obstacles, and how dear it becomes. */
+  layer = null;
+  cost = 1;
   /** [x, y] in m of the cursor that arrow keys move. */
   #cursor = null;
   #stroke = null;
@@ -36,6 +39,16 @@ export class Painting {
     this.buttons = [...document.querySelectorAll("[data-tool][aria-pressed]")];
     for (const button of this.buttons) button.addEventListener("click", () => this.#choose(button.dataset.tool));
     byId("brush").addEventListener("input", () => this.#resize(Number(byId("brush").value)));
+    byId("layer").addEventListener("change", () => {
+      this.layer = byId("layer").value || null;
+      byId("cost").parentElement.hidden = !this.layer;
+    });
+    byId("cost").addEventListener("input", () => {
+      this.cost = Number(byId("cost").value);
+      byId("cost-value").value = this.cost.toFixed(1);
+      showFill(byId("cost"));
+    });
+    showFill(byId("cost"));
     byId("undo").addEventListener("click", () => scene.undo());
     scene.onChange(() => { byId("undo").disabled = !scene.canUndo; });
     showFill(byId("brush"));
@@ -74,7 +87,7 @@ export class Painting {
       this.#stroke = { pointer, cells, before: grid.cells.slice(), from, moved: [0, 0] };
     } else {
       this.scene.remember();
-      this.#stroke = { pointer, last: at, value: this.#erases(event) ? FREE : OCCUPIED };
+      this.#stroke = { pointer, last: at, value: this.#value(this.#erases(event)) };
       this.#paintTo(at);
     }
     this.stage.canvas.setPointerCapture(pointer);
@@ -105,7 +118,7 @@ export class Painting {
   }
 
   #paintTo(at) {
-    this.scene.grid.stroke(this.#stroke.last, at, this.brush, this.#stroke.value);
+    this.scene.grid.stroke(this.#stroke.last, at, this.brush, this.#stroke.value, this.layer);
     this.#stroke.last = at;
     this.scene.changed("map");
   }
@@ -137,7 +150,7 @@ export class Painting {
       event.preventDefault();
       if (!this.#cursor || this.tool === "move") return;
       this.scene.remember();
-      grid.stroke(this.#cursor, this.#cursor, this.brush, this.tool === "erase" ? FREE : OCCUPIED);
+      grid.stroke(this.#cursor, this.#cursor, this.brush, this.#value(this.tool === "erase"), this.layer);
       this.scene.changed("map");
     }
   }
@@ -157,6 +170,12 @@ export class Painting {
   #showBrush(at, erase) {
     this.stage.show.brush = at && { x: at[0], y: at[1], radius: this.brush, erase };
     this.stage.drawTop();
+  }
+
+  /** What a stroke sets: a cell's value, or a soft cost. */
+  #value(erases) {
+    if (erases) return FREE;
+    return this.layer ? this.cost : OCCUPIED;
   }
 
   #erases(event) {
