@@ -19,7 +19,9 @@ from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import (
     GoalOption,
     GoalVelocityOption,
+    LayerOption,
     NumSamplesOption,
+    PenaltyOption,
     SeedOption,
     StartOption,
     StartVelocityOption,
@@ -31,7 +33,7 @@ from anchorflow_cli.options import (
     file_option,
     picture_option,
 )
-from anchorflow_cli.plan import table
+from anchorflow_cli.plan import layers_of, table
 from anchorflow_client.contract import AnchorBatch, ModelId
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_client.ros_map import MARGIN_M, RosMap, load_ros_map, map_window
@@ -40,6 +42,7 @@ from anchorflow_models.generation.scenes import DEFAULT_MOTION, DEFAULT_ROBOT_RA
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, restore_flow
 from anchorflow_training.distillation.teacher import student_schedule
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.scene import COST_PENALTY
 
 app = command_app()
 
@@ -70,6 +73,8 @@ def generate(
         float | None, typer.Option(help="Side of the square to plan in [m]; by the way's length.")
     ] = None,
     unknown_is_free: UnknownIsFreeOption = False,
+    layer: LayerOption = None,
+    cost_penalty: PenaltyOption = None,
     robot_radius: Annotated[
         float | None,
         typer.Option(help="Radius [m].", show_default=f"{OF_DATA}; {DEFAULT_ROBOT_RADIUS}"),
@@ -119,7 +124,9 @@ def generate(
     plot: Annotated[Path | None, picture_option("Picture to draw")] = None,
 ) -> None:
     """Draw anchors between two points; print a table, write them, draw them."""
-    seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
+    if layer and map_file is None:
+        raise typer.BadParameter("expected --map, of whose size the pictures of --layer are")
+    whole, seen = _seen(map_file, start, goal, size_m=size, unknown_is_free=unknown_is_free)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     seed = secrets.randbelow(2**63) if seed is None else seed
     saved = load_checkpoint(checkpoint)
@@ -137,7 +144,7 @@ def generate(
             robot_radius = saved.data.get("robot_radius", DEFAULT_ROBOT_RADIUS)
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
-            seen.occupancy[None],
+            layers_of(whole, seen, layer),
             x_curr,
             x_goal,
             style,
@@ -145,6 +152,7 @@ def generate(
             origin=seen.origin,
             robot_radius=robot_radius,
             motion=_motion(saved, v_max=v_max, a_max=a_max, horizon_s=horizon),
+            cost_penalty=COST_PENALTY if cost_penalty is None else cost_penalty,
             seed=seed,
         )
     answer = _answer(
@@ -180,12 +188,14 @@ def _seen(
     *,
     size_m: float | None,
     unknown_is_free: bool,
-) -> RosMap:
+) -> tuple[RosMap, RosMap]:
+    """Return the map and the window of it to plan in."""
     start, goal = start[:2], goal[:2]
     if map_file is None:
-        return empty_map(start, goal, size_m=size_m)
+        free = empty_map(start, goal, size_m=size_m)
+        return free, free
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
-    return map_window(ros_map, start, goal, size_m=size_m, option="--size")
+    return ros_map, map_window(ros_map, start, goal, size_m=size_m, option="--size")
 
 
 def _sampler(

@@ -14,7 +14,14 @@ from numpy.typing import NDArray
 from typer.core import TyperCommand
 
 from anchorflow_client.contract.checks import Interval
-from anchorflow_client.contract.fields import COORDINATE, NUM_STYLE, STYLES, VELOCITY
+from anchorflow_client.contract.fields import (
+    COORDINATE,
+    DEFAULT_COST_PENALTY,
+    MAX_CHANNELS,
+    NUM_STYLE,
+    STYLES,
+    VELOCITY,
+)
 from anchorflow_client.http.transport import Address
 
 Vector = NDArray[np.float64]
@@ -213,6 +220,42 @@ HorizonOption = Annotated[
 ]
 NumSamplesOption = Annotated[int, typer.Option(help="How many anchors.")]
 SeedOption = Annotated[int | None, typer.Option(help="Seed of the noise; drawn by default.")]
+LAYERS = {"traversability": 1, "risk": 2}
+"""Channels by name."""
+
+
+def layer_file(text: str) -> tuple[int, Path]:
+    """Parse `CHANNEL=FILE`."""
+    name, _, file = text.partition("=")
+    channel = LAYERS.get(name, int(name) if name.isdecimal() else 0)
+    if not (0 < channel < MAX_CHANNELS and file):
+        names = ", ".join(LAYERS)
+        raise typer.BadParameter(
+            f"expected {names} or a channel up to {MAX_CHANNELS - 1}, =, and a file, got {text!r}"
+        )
+    return channel, Path(file)
+
+
+LayerOption = Annotated[
+    list[Any] | None,
+    typer.Option(
+        "--layer",
+        parser=layer_file,
+        metavar="CHANNEL=FILE",
+        help="A grey picture of the map's size, white for 1: traversability, risk, or 3 and up; "
+        "repeatable.",
+    ),
+]
+PenaltyOption = Annotated[
+    float | None,
+    typer.Option(
+        "--cost-penalty",
+        help="Metres of detour that a metre through soft cost 1 is worth.",
+        show_default=f"{DEFAULT_COST_PENALTY:g}",
+    ),
+]
+
+
 UnknownIsFreeOption = Annotated[
     bool, typer.Option("--unknown-is-free", help="Let the way lead through unknown cells.")
 ]

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import (
+    LAYERS,
     AMaxOption,
     BundleOption,
     GoalOption,
     GoalVelocityOption,
     HorizonOption,
+    LayerOption,
     NumSamplesOption,
+    PenaltyOption,
     RadiusOption,
     SeedOption,
     StartOption,
@@ -31,9 +36,8 @@ from anchorflow_cli.options import (
     url_option,
 )
 from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorRequest, CostMap
-from anchorflow_client.contract.fields import DEFAULT_COST_PENALTY
 from anchorflow_client.http import AnchorClient
-from anchorflow_client.ros_map import load_ros_map, map_window
+from anchorflow_client.ros_map import RosMap, load_ros_map, map_window, read_layer
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.local import LocalClient
 
@@ -49,6 +53,8 @@ def plan(
     start_velocity: StartVelocityOption = None,
     goal_velocity: GoalVelocityOption = None,
     style: StyleOption = None,
+    layer: LayerOption = None,
+    cost_penalty: PenaltyOption = None,
     num_samples: NumSamplesOption = DEFAULT_NUM_SAMPLES,
     seed: SeedOption = None,
     v_max: VMaxOption = None,
@@ -59,13 +65,6 @@ def plan(
         float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
     ] = None,
     unknown_is_free: UnknownIsFreeOption = False,
-    cost_penalty: Annotated[
-        float | None,
-        typer.Option(
-            help="Metres of detour that one metre through soft cost 1 is worth.",
-            show_default=f"{DEFAULT_COST_PENALTY:g}",
-        ),
-    ] = None,
     clear_start: Annotated[
         bool, typer.Option("--clear-start", help="Free the cells under the robot at the start.")
     ] = False,
@@ -89,17 +88,17 @@ def plan(
     seen = map_window(ros_map, start[:2], goal[:2], size_m=window, option="--window")
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     request = AnchorRequest.build(
-        cost_map=CostMap.build(seen.occupancy[None], seen.resolution, seen.origin),
+        cost_map=CostMap.build(layers_of(ros_map, seen, layer), seen.resolution, seen.origin),
         x_curr=x_curr,
         x_goal=x_goal,
         w_style=style,
+        cost_penalty=cost_penalty,
         num_samples=num_samples,
         seed=seed,
         v_max=v_max,
         a_max=a_max,
         robot_radius=radius,
         horizon_s=horizon,
-        cost_penalty=cost_penalty,
         clear_start=clear_start,
         goal_tolerance=None if goal_tolerance is None else {"position": goal_tolerance},
     )
@@ -111,6 +110,19 @@ def plan(
         with needs_extra("plot", who="anchorflow plan --out"):
             from anchorflow_cli.plots import draw_anchors
         draw_anchors(anchors, seen, start=start[:2], goal=goal[:2], path=out)
+
+
+def layers_of(
+    ros_map: RosMap, window: RosMap, layers: Sequence[tuple[int, Path]] | None
+) -> NDArray[np.float32]:
+    """Return the cost map [C, H, W] of a window and the pictures of its further channels."""
+    named = dict(layers or ())
+    cost_map = np.zeros((1 + max(named, default=0), *window.occupancy.shape), np.float32)
+    cost_map[0], cost_map[1:2] = window.occupancy, 1.0
+    for channel, path in named.items():
+        neutral = float(channel == LAYERS["traversability"])
+        cost_map[channel] = read_layer(path, ros_map, window, neutral=neutral)
+    return cost_map
 
 
 def table(anchors: AnchorBatch) -> Table:

@@ -136,6 +136,30 @@ def map_window(
     return ros_map.crop((start + goal) / 2, size_m)
 
 
+def read_layer(path: Path | str, ros_map: RosMap, window: RosMap, *, neutral: float) -> Grey:
+    """Read a picture of a further channel in a window of its map: [H, W] in [0, 1], white is 1.
+
+    neutral: of cells beyond the map
+
+    Raises `RosMapError` if the file is no picture, or not of the map's size.
+    """
+    path, size = Path(path), ros_map.values.shape
+    try:
+        with _opened(path) as image:
+            grey = np.asarray(image.convert("L"), dtype=np.float64)[::-1] / 255
+    except _UNREADABLE as error:
+        raise RosMapError(f"{path}: expected a .pgm or .png picture: {error}") from error
+    if grey.shape != size:
+        raise RosMapError(
+            f"{path}: expected {size[1]} x {size[0]} pixels, as the map has, "
+            f"got {grey.shape[1]} x {grey.shape[0]}"
+        )
+    left, bottom = np.rint((window.origin - ros_map.origin) / ros_map.resolution).astype(int)
+    rows, columns = np.indices(window.values.shape) + np.array([[[bottom]], [[left]]])
+    known = (rows >= 0) & (rows < size[0]) & (columns >= 0) & (columns < size[1])
+    return np.where(known, grey[rows.clip(0, size[0] - 1), columns.clip(0, size[1] - 1)], neutral)
+
+
 @dataclass(frozen=True)
 class _Thresholds:
     free: float

@@ -98,6 +98,51 @@ def test_the_options_become_the_request(map_file: Path, requests: list[AnchorReq
     assert (heading.num_samples, heading.seed, heading.robot_radius) == (64, None, None)
 
 
+def grey(path: Path, pixels: np.ndarray) -> Path:
+    Image.fromarray(pixels).save(path)
+    return path
+
+
+def test_layers_are_pictures_of_the_maps_size(
+    map_file: Path, tmp_path: Path, requests: list[AnchorRequest]
+) -> None:
+    pixels = np.zeros((200, 200), np.uint8)
+    pixels[0] = 255  # the row with the largest y
+    risk = grey(tmp_path / "risk.png", pixels)
+    noise = grey(tmp_path / "noise.png", np.full((200, 200), 51, np.uint8))
+
+    ends = ("--start=0,5", "--goal=0,9", "--window", 8)
+    layers = ("--layer", f"risk={risk}", "--layer", f"4={noise}", "--cost-penalty", 7)
+    succeed("plan", "--map", map_file, *ends, *layers)
+
+    (request,) = requests
+    _, traversability, risky, between, noisy = request.cost_map.data[0]
+    assert (traversability == 1.0).all()
+    assert not between.any()
+    assert np.flatnonzero(risky.any(1)).tolist() == [69]
+    np.testing.assert_allclose(noisy[0, 0], 0.2)
+    assert noisy[-1].max() == 0.0  # beyond the map
+    assert request.cost_penalty == 7
+
+
+@pytest.mark.parametrize(
+    ("layer", "words"),
+    [
+        ("risk", "expected traversability, risk or a channel up to 15, =, and a file, got 'risk'"),
+        ("16={}", "got '16="),
+        ("risk={}", "expected 200 x 200 pixels, as the map has, got 4 x 3"),
+        ("risk={}.no", "expected a .pgm or .png picture"),
+    ],
+)
+def test_a_layer_that_cannot_be_read_is_one_line(
+    map_file: Path, tmp_path: Path, layer: str, words: str
+) -> None:
+    small = grey(tmp_path / "small.png", np.zeros((3, 4), np.uint8))
+    ends = ("--start=0,0", "--goal=3,0")
+    said = failure("plan", "--map", map_file, *ends, "--layer", layer.format(small))
+    assert words in " ".join(said.split())
+
+
 @pytest.mark.parametrize("style", ["hasty", "1,2", "1,2,nan"])
 def test_an_unknown_style_names_the_four(style: str, map_file: Path) -> None:
     said = failure("plan", "--map", map_file, "--start=0,0", "--goal=3,0", "--style", style)

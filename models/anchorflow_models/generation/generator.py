@@ -36,7 +36,7 @@ from anchorflow_trajectory.finish.refiner import Refined, Refiner
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.integrate import VectorField, drawn, integrate
 from anchorflow_trajectory.ode.schedule import Schedule, remaining
-from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.scene import COST_PENALTY, Scene
 
 Array = NDArray[np.float32]
 Context = dict[str, Tensor]
@@ -92,6 +92,7 @@ class TrajectoryGenerator:
         origin: Numbers | None = None,
         robot_radius: float = DEFAULT_ROBOT_RADIUS,
         motion: MotionLimits = DEFAULT_MOTION,
+        cost_penalty: float = COST_PENALTY,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
@@ -105,6 +106,7 @@ class TrajectoryGenerator:
         resolution: m/cell; origin: [2] m, outer corner of cell (0, 0), by default such that the
             map's centre is (0, 0); robot_radius: m
         motion: speed and acceleration to keep, and the horizon if durations are given
+        cost_penalty: m of detour that one metre through soft cost 1 is worth
         seed: an int draws the noise that the service draws from it, a torch.Generator its own
         warm_start: a plan to start from instead of noise alone; the contract's
         guidance: a cost to keep low
@@ -123,6 +125,7 @@ class TrajectoryGenerator:
             origin=origin,
             robot_radius=robot_radius,
             motion=motion,
+            cost_penalty=cost_penalty,
             seed=seed,
             warm_start=warm_start,
             guidance=guidance,
@@ -142,6 +145,7 @@ class TrajectoryGenerator:
         origin: Numbers | None = None,
         robot_radius: float = DEFAULT_ROBOT_RADIUS,
         motion: MotionLimits = DEFAULT_MOTION,
+        cost_penalty: float = COST_PENALTY,
         seed: Seed = None,
         warm_start: WarmStart | None = None,
         guidance: Guidance | None = None,
@@ -161,6 +165,7 @@ class TrajectoryGenerator:
             origin=origin,
             robot_radius=robot_radius,
             motion=motion,
+            cost_penalty=cost_penalty,
         )
         return self.sample(scenes, seed=seed, warm_start=warm_start, guidance=guidance)
 

@@ -16,7 +16,13 @@ from anchorflow_models.checks import check
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_service.engine.samplers.flow import renoised
 from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.scene import ROUTE_STATES, SCENE_INPUTS, Scene, finer_cells
+from anchorflow_trajectory.scene import (
+    COST_PENALTY,
+    ROUTE_STATES,
+    SCENE_INPUTS,
+    Scene,
+    finer_cells,
+)
 
 Numbers = ArrayLike | Tensor
 
@@ -37,6 +43,7 @@ def requested_scenes(
     origin: Numbers | None = None,
     robot_radius: float = DEFAULT_ROBOT_RADIUS,
     motion: MotionLimits = DEFAULT_MOTION,
+    cost_penalty: float = COST_PENALTY,
 ) -> list[Scene]:
     """Read a request into scenes for a model of this configuration.
 
@@ -45,6 +52,7 @@ def requested_scenes(
     w_style: [3], scaled to sum to 1, or a style's name; balanced by default
     origin: [2] m; by default the map's centre is (0, 0)
     motion: limits of the anchors, and their duration if it has a horizon
+    cost_penalty: m of detour that one metre through soft cost 1 is worth
 
     Each but the origin may have a B axis; one without is the same in every scene.
 
@@ -64,6 +72,7 @@ def requested_scenes(
         v_max=motion.v_max,
         a_max=motion.a_max,
         horizon_s=motion.horizon_s,
+        cost_penalty=cost_penalty,
     )
     _check_fits(request, config)
     grid = request.cost_map
@@ -79,6 +88,7 @@ def requested_scenes(
             w_style=request.w_style[b],
             motion=motion,
             basis=config.basis,
+            cost_penalty=cost_penalty,
         )
         for b in range(request.num_scenes)
     ]
