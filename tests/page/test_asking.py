@@ -154,11 +154,11 @@ def test_a_named_style_sets_the_weights_and_a_weight_makes_it_custom(visit: Any)
         lambda: name.select_option("efficient"),
         lambda asked: asked["w_style"] == pytest.approx(STYLES["efficient"]),
     )
-    expect(visit.locate("#style-text")).to_have_text("10 · 80 · 10")
+    expect(visit.locate("#style-text")).to_have_text("20 · 50 · 30")
 
     visit.locate("#knob").focus()
     visit.answer(
-        lambda: visit.page.keyboard.press("ArrowUp"), lambda asked: asked["w_style"][0] > 0.14
+        lambda: visit.page.keyboard.press("ArrowUp"), lambda asked: asked["w_style"][0] > 0.21
     )
     expect(name).to_have_value("custom")
 
