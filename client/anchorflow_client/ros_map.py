@@ -5,8 +5,8 @@
     client.plan(cost_map=seen.occupancy, resolution=seen.resolution, origin=seen.origin, ...)
 
 A picture's top row has the largest y; the rows of a `RosMap` grow with y, as in an OccupancyGrid.
-A picture is read when its cells are needed: of a .pgm in bytes the window alone, of a .png all of
-it, once. The modes follow nav2's map_server
+A picture is read when its cells are needed: of a .pgm in bytes the window alone, a .png as a whole.
+The modes follow nav2's map_server
 (https://github.com/ros-navigation/navigation2/tree/main/nav2_map_server), except that a pixel that
 is not opaque is unknown in every mode. Needs PyYAML and Pillow, which the client does not install.
 """
@@ -50,6 +50,9 @@ MARGIN_M = 3.0
 
 MAX_PIXELS = 2**29
 """Of a picture that has to be decoded as a whole: 2 GB with four bytes a pixel."""
+
+KEPT_PIXELS = 2**24
+"""Of a picture that is decoded once: 64 MB."""
 
 Grey = NDArray[np.float64]
 
@@ -286,6 +289,7 @@ class _PictureCells:
 
     def __init__(self, path: Path, percent: Callable[[Grey], Grey]) -> None:
         self._path, self._percent = path, percent
+        self._image: Image.Image | None = None
         try:
             self._pgm = _pgm_of(path)
             if self._pgm is not None:
@@ -315,16 +319,20 @@ class _PictureCells:
         if (pgm := self._pgm) is not None:
             pixels = np.memmap(self._path, pgm.dtype, "r", pgm.offset, pgm.shape)
             return pixels[top:bottom, left:right] / float(pgm.brightest), True
-        part = self._image.crop((left, top, right, bottom))
+        part = self._decoded().crop((left, top, right, bottom))
         if part.mode.startswith("I"):  # 16 bits a pixel
             return np.asarray(part, dtype=np.float64) / 65535, True
         channels = np.asarray(part.convert("RGBA"), dtype=np.float64) / 255
         return channels[..., :3].mean(axis=-1), channels[..., 3] == 1
 
-    @cached_property
-    def _image(self) -> Image.Image:
+    def _decoded(self) -> Image.Image:
+        """Return the picture, which is kept for the next window unless it is large."""
+        if (kept := self._image) is not None:
+            return kept
         with _opened(self._path) as image:
             image.load()
+        if image.width * image.height <= KEPT_PIXELS:
+            self._image = image
         return image
 
     def _damaged(self, error: Exception) -> RosMapError:
