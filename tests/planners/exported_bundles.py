@@ -93,10 +93,9 @@ def small_goalflow() -> nn.Module:
 NETWORKS: dict[str, Callable[[], Any]] = {
     "flowmp": lambda: untaught(num_steps=24, num_control_points=12),
     "flowmp-unet": lambda: untaught(
-        map_channels=1, backbone="unet", num_steps=45, map_attention=True, map_lookup=False
+        backbone="unet", num_steps=45, map_attention=True, map_lookup=False
     ),
     "flowmp-transformer": lambda: untaught(
-        map_channels=1,
         num_steps=45,
         steps_per_token=4,
         map_attention=True,

@@ -40,6 +40,7 @@ def assert_refused(folder: Path, message: str) -> None:
         ),
         ("graphs.field.inputs.0.shape", ["B", "N", 8, "S"], "x_t has [8, 'S'] for [T,S]"),
         ("graphs.encode.inputs.0.name", "camera", "graphs.encode.inputs: 'camera' is"),
+        ("conditioning.channels", 5, "channels: expected 3, obstacles, traversability and risk"),
     ],
 )
 def test_a_flow_that_cannot_be_wired(

@@ -22,7 +22,7 @@ from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
-from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, finer_cells
+from anchorflow_trajectory.scene import NETWORK_CHANNELS, SCENE_INPUTS, Scene, finer_cells
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 REACH = 2.0
@@ -44,6 +44,9 @@ class CostMapConditioning:
 
     def faults(self) -> Iterator[str]:
         """Find inputs of encode that no scene provides."""
+        if (channels := self._entry.channels) != NETWORK_CHANNELS:
+            names = "obstacles, traversability and risk"
+            yield f"conditioning.channels: expected {NETWORK_CHANNELS}, {names}, found {channels}"
         encode = self._manifest.graphs["encode"]
         yield from unknown_names("graphs.encode.inputs", encode.input_names, SCENE_INPUTS)
 
