@@ -258,7 +258,8 @@ def _origin(fields: _Fields) -> NDArray[np.float64]:
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        values = yaml.load(path.read_text(encoding="utf-8"), yaml.BaseLoader)  # texts alone
+        # This loader makes texts of all scalars, and nothing else.
+        values = yaml.BaseLoader(path.read_text(encoding="utf-8")).get_single_data()
     except (OSError, ValueError, yaml.YAMLError) as error:
         said = " ".join(str(error).split())
         raise RosMapError(f"{path}: expected a map_server YAML file: {said}") from error
