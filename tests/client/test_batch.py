@@ -180,7 +180,7 @@ def test_where_none_follows_the_route_the_best_of_all_is_taken(
 
 
 def test_along_a_route_what_is_safe_comes_first() -> None:
-    told = made_batch(**ways().arrays | {"safe": [True, True, True, False]})
+    told = made_batch(**{**ways().arrays, "safe": [True, True, True, False]})
     assert told.best_along([[0.0, 0.0], [40.0, -20.0]]) == 2
 
 

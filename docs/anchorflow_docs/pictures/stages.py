@@ -71,14 +71,15 @@ def _arrow(axis: Axes, theme: Theme) -> None:
 def fields(stage: Stage) -> Drawing:
     """Draw occupancy, soft costs, clearance, the routes, their splines, and the answer."""
     scene = stage.scene_with_ways("rooms", 2, lambda scene: scene.surcharge is not None)
-    answer = stage.plan(scene)
+    answer, surcharge = stage.plan(scene), scene.surcharge
+    assert surcharge is not None
 
     def draw(theme: Theme) -> Figure:
         figure, axes = plt.subplots(2, 3, figsize=(WIDTH, 5.9), layout="constrained")
         draw_map(axes[0, 0], scene, theme)
         draw_ends(axes[0, 0], scene, theme)
         soft = draw_field(
-            axes[0, 1], scene, scene.surcharge, cmap=theme.costs, vmin=0, vmax=scene.cost_penalty
+            axes[0, 1], scene, surcharge, cmap=theme.costs, vmin=0, vmax=scene.cost_penalty
         )
         _draw_clearance(axes[0, 2], scene, theme)
         draw_routes(axes[1, 0], scene, theme)
