@@ -34,7 +34,7 @@ from anchorflow_trajectory.cost.kernels import Gains, Problem, cost_of_splines
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 
-STEEP = 4.0
+STEEP = 6.0
 """Surcharge beyond which obstacles and limits weigh more, so that dear ground pushes nobody into
 them."""
 
