@@ -140,8 +140,7 @@ def generate(
             barrier_rate=barrier_rate,
         )
         model = restore_flow(saved)
-        if robot_radius is None:
-            robot_radius = saved.data.get("robot_radius", DEFAULT_ROBOT_RADIUS)
+        usual: float = saved.data.get("robot_radius", DEFAULT_ROBOT_RADIUS)
         began = time.perf_counter()
         anchors = TrajectoryGenerator(model, config).generate(
             layers_of(whole, seen, layer),
@@ -150,7 +149,7 @@ def generate(
             style,
             resolution=seen.resolution,
             origin=seen.origin,
-            robot_radius=robot_radius,
+            robot_radius=usual if robot_radius is None else robot_radius,
             motion=_motion(saved, v_max=v_max, a_max=a_max, horizon_s=horizon),
             cost_penalty=COST_PENALTY if cost_penalty is None else cost_penalty,
             seed=seed,
