@@ -13,7 +13,13 @@ from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost import clearance
 from anchorflow_trajectory.cost.clearance import GridField
-from anchorflow_trajectory.cost.fields import CostFields, soft_cost
+from anchorflow_trajectory.cost.fields import (
+    OCCUPANCY,
+    RISK,
+    TRAVERSABILITY,
+    CostFields,
+    soft_cost,
+)
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.dijkstra import cell_index
@@ -35,8 +41,7 @@ SCENE_INPUTS = (
     ROUTE_STATES,
 )
 """The possible inputs of a network, as names for `Scene.inputs`."""
-NETWORK_CHANNELS, TRAVERSABILITY, RISK = 3, 1, 2
-"""Channels of a network's map: obstacles, traversability (all of it is 1), risk (dear ground)."""
+NETWORK_CHANNELS = 3  # obstacles, traversability (all of it is 1), risk (dear ground)
 NUM_STEPS = 64
 # A style with a weight beyond BALANCED leans further than it says, and most from LEANING on: its
 # weights are raised to this power beside the cost's own contrast.
@@ -98,7 +103,7 @@ class Scene:
     def network_map(self) -> NDArray[np.float32]:
         """[3, H, W] as networks see the map: obstacles, 1, and the surcharge scaled to [0, 1)."""
         seen = np.zeros((NETWORK_CHANNELS, *self.occupied.shape), np.float32)
-        seen[0], seen[TRAVERSABILITY] = self.occupied, 1.0
+        seen[OCCUPANCY], seen[TRAVERSABILITY] = self.occupied, 1.0
         if self.surcharge is not None:
             seen[RISK] = self.surcharge / (self.surcharge + COST_PENALTY)
         return seen

@@ -18,7 +18,7 @@ CONFIG = Path(__file__).with_name("schemathesis.toml")
 EXAMPLES, SEED = 30, 1
 PATIENCE_S = 280
 MOST_ENTRIES = 8
-"""Bounds of longer arrays are left out: maps of 16 x 16 and more take minutes to draw."""
+"""Longer arrays may be shorter too: maps of 16 x 16 and more take minutes to draw."""
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def app(tiny_bundle: Path) -> FastAPI:
 
 
 def with_short_arrays(node: Any) -> Any:
-    """Return a description without the bounds of its long arrays."""
+    """Return a description without the least lengths of its long arrays."""
     if isinstance(node, list):
         return [with_short_arrays(part) for part in node]
     if not isinstance(node, dict):
@@ -35,7 +35,7 @@ def with_short_arrays(node: Any) -> Any:
     return {
         name: with_short_arrays(part)
         for name, part in node.items()
-        if not (name in ("minItems", "maxItems") and isinstance(part, int) and part > MOST_ENTRIES)
+        if not (name == "minItems" and isinstance(part, int) and part > MOST_ENTRIES)
     }
 
 

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_client.contract.fields import MAX_CHANNELS, MAX_MAP_CELLS, MIN_MAP_CELLS
 from anchorflow_training.data.file_formats import ArraySource, read_whole
 from anchorflow_training.dataset import DatasetError
 
@@ -52,8 +53,6 @@ ALIASES = {
 }
 
 LEAST_STEPS = 3  # a second difference needs three points
-LEAST_CELLS, MOST_CELLS = 16, 512  # a side of a map, as the service takes it
-MOST_CHANNELS = 8
 
 
 def by_own_names(path: Path, arrays: Mapping[str, ArraySource]) -> dict[str, ArraySource]:
@@ -107,10 +106,10 @@ def _check_maps(path: Path, arrays: Mapping[str, ArraySource], count: int) -> No
     if "cost_maps" not in arrays:
         return
     shape = arrays["cost_maps"].shape
-    sides = all(LEAST_CELLS <= side <= MOST_CELLS for side in shape[-2:])
-    if len(shape) != 4 or shape[0] != count or not 1 <= shape[1] <= MOST_CHANNELS or not sides:
+    sides = all(MIN_MAP_CELLS <= side <= MAX_MAP_CELLS for side in shape[-2:])
+    if len(shape) != 4 or shape[0] != count or not 1 <= shape[1] <= MAX_CHANNELS or not sides:
         expected = (
-            f"[{count}, C, H, W] with C 1..{MOST_CHANNELS}, H and W {LEAST_CELLS}..{MOST_CELLS}"
+            f"[{count}, C, H, W] with C 1..{MAX_CHANNELS}, H and W {MIN_MAP_CELLS}..{MAX_MAP_CELLS}"
         )
         raise _wrong_shape(path, "cost_maps", expected, shape)
 

@@ -32,7 +32,6 @@ from anchorflow_trajectory.warm_start import nearest_route
 
 FloatArray = NDArray[np.floating]
 
-CHANNELS = 3  # occupancy, traversability, risk: the channels that a network needs at least
 STYLE = (0.4, 0.3, 0.3)  # safety, energy, smooth, for a file without style_weights
 REACHED = 0.1  # m from a given end to the trajectory's own
 LEAST_POINTS = START_POINTS + GOAL_POINTS + 1

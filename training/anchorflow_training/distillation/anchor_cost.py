@@ -14,10 +14,11 @@ from torch import Tensor, nn
 from anchorflow_models import L2Config
 from anchorflow_models.layers.clearance_map import ClearanceMap
 from anchorflow_models.layers.geometry import in_float32
+from anchorflow_trajectory.cost.fields import RISK
 from anchorflow_trajectory.cost.kernels import DEEP
 from anchorflow_trajectory.cost.trajectory_cost import STEEP, CostWeights
 from anchorflow_trajectory.motion import TURN
-from anchorflow_trajectory.scene import COST_PENALTY, RISK
+from anchorflow_trajectory.scene import COST_PENALTY
 from anchorflow_trajectory.spline.basis import END_ORDERS
 
 WEIGHTS = CostWeights()  # the expert's

@@ -13,7 +13,7 @@ from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import OCCUPIED, GridField
 
-OCCUPANCY, TRAVERSABILITY = 0, 1  # channels of a cost map; 2 is risk, and more may follow
+OCCUPANCY, TRAVERSABILITY, RISK = range(3)  # channels of a cost map; more may follow
 FAINT = 1e-6  # of a soft cost, below which it is none: denormal numbers are slow
 
 

@@ -116,9 +116,10 @@ def find_routes(
         points = np.concatenate([[start], at[begin + 1 : end - 1], [goal]]).astype(np.float64)
         (signature,) = rays.signatures(points[None], resolution=resolution, origin=origin)
         on_grid = in_cells(points, resolution, origin)
-        if not rays.is_simple(signature, on_grid[0], on_grid[-1]):
+        if surcharge is not None and not rays.is_simple(signature, on_grid[0], on_grid[-1]):
             continue
-        length, charge = polyline_length(points), resolution * charge_along(on_grid, dear)
+        charge = 0.0 if surcharge is None else resolution * charge_along(on_grid, dear)
+        length = polyline_length(points)
         routes.append(Route(points, length, signature, charge))
     return sorted(routes, key=lambda route: route.cost)
 
