@@ -37,6 +37,14 @@ class MotionLimits:
             return length / self.v_max + self.v_max / self.a_max
         return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
 
+    def most_way(self, duration: float, speed: float) -> float:
+        """Return about how many m can be covered smoothly, from a speed to rest."""
+        cruise = CRUISE * self.v_max
+        ramp = 0.5 * np.pi * cruise / self.a_max
+        if duration >= 2.0 * ramp:
+            return cruise * (duration - ramp) + 0.5 * ramp * min(speed, cruise)
+        return 0.25 * duration**2 * self.a_max / (0.5 * np.pi) + 0.4 * speed * min(duration, ramp)
+
     def durations(self, states: FloatArray) -> NDArray[np.float64]:
         """Return the durations [N] s of states [N, T, 3D + 1]: the horizon, or their own."""
         if self.horizon_s is not None:

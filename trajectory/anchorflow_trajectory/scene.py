@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,13 @@ from anchorflow_trajectory.cost.fields import (
     CostFields,
     soft_cost,
 )
-from anchorflow_trajectory.cost.trajectory_cost import CostWeights
-from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.cost.trajectory_cost import CostWeights, TrajectoryCost
+from anchorflow_trajectory.motion import MotionLimits, nominal_duration
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.homotopy import ObstacleRays
-from anchorflow_trajectory.routes.search import SLACK, Route, find_routes
+from anchorflow_trajectory.routes.passing import WAITS, Ways, place_to_end, ways_past
+from anchorflow_trajectory.routes.search import SLACK, Route, find_routes, place_along
 from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
 from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.spline.basis import DEGREE, Ends, SplineBasis, Splines, spline_basis
@@ -51,6 +53,7 @@ MOST_CELLS = 512  # a side of a map whose cells were cut
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
+MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -67,6 +70,7 @@ class Scene:
     certified_margin: m beyond robot_radius that routes keep, where any can
     cost_penalty: m of detour that one metre through soft cost 1 is worth
     channel_weights: [C - 1] of traversability, risk and further channels; none: 1 each
+    movers: what moves, from the moment of x_curr on
     """
 
     cost_map: NDArray[np.float32]
@@ -81,6 +85,7 @@ class Scene:
     certified_margin: float = 0.0
     cost_penalty: float = COST_PENALTY
     channel_weights: FloatArray | None = None
+    movers: MovingDiscs | None = None
 
     @cached_property
     def occupied(self) -> NDArray[np.bool_]:
@@ -182,12 +187,70 @@ class Scene:
     @cached_property
     def reference_s(self) -> float:
         """s that durations are measured by: the least in which the shortest route can be driven."""
+        return self.motion.least_time(max(self._way, LEAST_WAY))
+
+    @property
+    def _way(self) -> float:
+        """m, the length of the shortest route."""
         straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
-        way = min((route.length for route in self.routes), default=straight)
-        return self.motion.least_time(max(way, LEAST_WAY))
+        return min((route.length for route in self.routes), default=straight)
 
     @cached_property
+    def ways(self) -> Ways:
+        """Return the ways in space and time: one a route where nothing moves."""
+        along = self._along_routes
+        if self.movers is None:
+            return Ways(along, np.arange(len(along)))
+        return ways_past(along, self.cost(), self.ends, until=self.until_s)
+
+    def among_movers(self) -> Scene:
+        """Return the scene with a goal at which anchors can end, where something moves.
+
+        A goal that cannot be reached within the horizon moves back along the cheapest route, one on
+        which something that moves will be on arrival to the nearest place that is clear then.
+        """
+        if self.movers is None:
+            return self
+        goal, start = self.x_goal[:2], self.x_curr[:2]
+        horizon, dim = self.motion.horizon_s, len(self.x_goal) // 2
+        if horizon is None:
+            usual = nominal_duration(self._way, self.motion)
+            times = [usual, *(usual + wait for wait in WAITS)]
+        else:
+            reach = self.motion.most_way(horizon, float(np.linalg.norm(self.x_curr[dim : dim + 2])))
+            if reach < self._way and self.routes:
+                goal = place_along(self.routes[0].points, reach)
+            times = [horizon]
+        goal = place_to_end(goal, start, self.cost_fields, times, margin=MARGIN)
+        if goal is self.x_goal[:2] or np.array_equal(goal, self.x_goal[:2]):
+            return self
+        rest = self.x_goal[2:].copy()
+        rest[dim - 2 : dim] = 0.0
+        return replace(self, x_goal=np.concatenate([goal, rest]))
+
+    @property
+    def until_s(self) -> float:
+        """s after which ways do not differ any more."""
+        return self.motion.horizon_s or LONGEST_STRETCH * self.reference_s
+
+    @property
     def route_splines(self) -> Splines:
+        """One along each of the ways."""
+        return self.ways.splines
+
+    def cost(self, margin: float = MARGIN) -> TrajectoryCost:
+        """Return the cost of trajectories; margin: m of clearance at which hinges begin."""
+        return TrajectoryCost(
+            self.basis,
+            self.cost_fields,
+            self.motion,
+            self.effective_style,
+            self.reference_s,
+            margin,
+        )
+
+    @cached_property
+    def _along_routes(self) -> Splines:
         """One along each route; the smoothest curve between both ends where there is none."""
         leaning = CostWeights().leaning(self.effective_style)
         return splines_along(
@@ -224,7 +287,8 @@ class Scene:
         """The maps as the cost of a trajectory looks them up."""
         at = self.resolution, self.origin
         dear = None if self.surcharge is None else GridField(self.surcharge, *at)
-        return CostFields(GridField(self.clearance_field, *at), dear)
+        movers = self.movers and self.movers.wider(self.robot_radius)
+        return CostFields(GridField(self.clearance_field, *at), dear, movers)
 
     @property
     def map_geometry(self) -> NDArray[np.float32]:

@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import OCCUPIED, GridField
+from anchorflow_trajectory.movers import MovingDiscs
 
 OCCUPANCY, TRAVERSABILITY, RISK = range(3)  # channels of a cost map; more may follow
 FAINT = 1e-6  # of a soft cost, below which it is none: denormal numbers are slow
@@ -19,14 +20,16 @@ FAINT = 1e-6  # of a soft cost, below which it is none: denormal numbers are slo
 
 @dataclass(frozen=True)
 class CostFields:
-    """The maps of one scene.
+    """The maps of one scene, and what moves on them.
 
     clearance: m beyond the robot's radius
     surcharge: m of detour that a metre of way through a place is worth, if any is
+    movers: what moves, wider by the robot's radius
     """
 
     clearance: GridField
     surcharge: GridField | None = None
+    movers: MovingDiscs | None = None
 
 
 def soft_cost(cost_map: FloatArray, weights: FloatArray | None = None) -> NDArray[np.float32]:

@@ -13,6 +13,7 @@ import numpy as np
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.spline.kernels import (
     LANES,
     Band,
@@ -36,10 +37,13 @@ class Gains(NamedTuple):
     short: np.floating
     smooth: np.floating
     dear: np.floating
+    near: np.floating
     collision: np.floating
     speed: np.floating
     acceleration: np.floating
     comfort: np.floating
+    distance: np.floating
+    widening: np.floating
     limit_share: np.floating
     margin: np.floating
     v_max: np.floating
@@ -54,6 +58,7 @@ class Problem(NamedTuple):
     band: Band
     clearance: Grid
     surcharge: Grid
+    movers: Discs
     gains: Gains
 
 
@@ -107,6 +112,7 @@ def cost_of_lanes(
     dim, steps = control.shape[0], len(band.first)
     samples = np.empty((4, dim, LANES), control.dtype)
     ground = np.zeros((2, 3, LANES), control.dtype)
+    pull = np.zeros((2, LANES), control.dtype)
     # |p'|, |p''| and |p'''| times these are shares of the limits.
     pace = np.empty((3, LANES), control.dtype)
     gain = np.empty((2, LANES), control.dtype)  # of |p'|^2 and of |p'''|^2
@@ -129,7 +135,14 @@ def cost_of_lanes(
             ground[0, 0, m], ground[0, 1, m], ground[0, 2, m] = look_up(problem.clearance, x, y)
             if problem.surcharge.values.size > 0:
                 ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
+        share = real(t) / real(steps - 1)
+        if len(problem.movers.radius) > 0:
+            _charge_movers(problem, style, share, duration, samples, lanes, hinges, pull)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
+        if len(problem.movers.radius) > 0:
+            for m in range(lanes):
+                samples[0, 0, m] += pull[0, m]
+                samples[0, 1, m] += pull[1, m]
         _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
         if is_sloped:
             gather_slopes(samples, lanes, band, t, slope)
@@ -174,6 +187,103 @@ def _charge_ground(
     for d in range(2, samples.shape[1]):
         for m in range(lanes):
             samples[0, d, m] = real(0.0)
+
+
+@compiled
+def _charge_movers(
+    problem: Problem,
+    style: FloatArray,
+    share: float,
+    duration: FloatArray,
+    samples: FloatArray,
+    lanes: int,
+    hinges: FloatArray,
+    pull: FloatArray,
+) -> None:
+    """Add the cost of how near what moves the samples lie; write its slopes by place, [2, LANES].
+
+    share: of the duration at which the samples are
+    """
+    gains, discs, real = problem.gains, problem.movers, samples.dtype.type
+    legs, far = discs.places.shape[1] - 1, real(np.inf)
+    time, comfort = np.empty(LANES, samples.dtype), np.empty(LANES, samples.dtype)
+    x, y = samples[0, 0], samples[0, 1]
+    left, right, low, high, first, last = far, -far, far, -far, far, real(0.0)
+    for m in range(lanes):
+        time[m] = share * duration[m]
+        comfort[m] = real(1.0) / (gains.distance + gains.widening * time[m])
+        left, right = min(left, x[m]), max(right, x[m])
+        low, high = min(low, y[m]), max(high, y[m])
+        first, last = min(first, time[m]), max(last, time[m])
+    pull[:] = real(0.0)
+    widest = gains.distance + (gains.widening + discs.growth) * last
+    for j in range(len(discs.radius)):
+        wide = discs.radius[j] + max(widest, gains.margin + discs.growth * last)
+        begin = min(int(first / discs.step), legs - 1)
+        end = min(int(last / discs.step), legs - 1)
+        for leg in range(begin, end + 1):
+            speed_x = (discs.places[j, leg + 1, 0] - discs.places[j, leg, 0]) / discs.step
+            speed_y = (discs.places[j, leg + 1, 1] - discs.places[j, leg, 1]) / discs.step
+            x_0 = discs.places[j, leg, 0] - speed_x * (leg * discs.step)
+            y_0 = discs.places[j, leg, 1] - speed_y * (leg * discs.step)
+            from_s = -far if leg == 0 else real(leg * discs.step)
+            until_s = far if leg == legs - 1 else real((leg + 1) * discs.step)
+            early, late = max(first, from_s), min(last, until_s)
+            if max(x_0 + speed_x * early, x_0 + speed_x * late) < left - wide:
+                continue
+            if min(x_0 + speed_x * early, x_0 + speed_x * late) > right + wide:
+                continue
+            if max(y_0 + speed_y * early, y_0 + speed_y * late) < low - wide:
+                continue
+            if min(y_0 + speed_y * early, y_0 + speed_y * late) > high + wide:
+                continue
+            line = x_0, y_0, speed_x, speed_y, discs.radius[j], discs.growth
+            _charge_mover(
+                gains, style[0], line, (from_s, until_s), time, comfort, x, y, lanes, hinges, pull
+            )
+
+
+@compiled
+def _charge_mover(
+    gains: Gains,
+    safety: FloatArray,
+    line: tuple[float, float, float, float, float, float],
+    span: tuple[float, float],
+    time: FloatArray,
+    comfort: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    lanes: int,
+    hinges: FloatArray,
+    pull: FloatArray,
+) -> None:
+    """Add the cost of nearness to a disc on a line: x, y at time 0, speeds, radius and growth.
+
+    span: times from one, up to another, in which it is there
+    time, comfort: [LANES], of the samples, and one over the comfortable distance then
+    """
+    x_0, y_0, speed_x, speed_y, radius, growth = line
+    real = x.dtype.type
+    zero, one, two, deepest = real(0.0), real(1.0), real(2.0), real(DEEP)
+    cost, later = hinges[0], hinges[1]
+    pull_x, pull_y = pull[0], pull[1]
+    for m in range(lanes):
+        off_x = x[m] - x_0 - speed_x * time[m]
+        off_y = y[m] - y_0 - speed_y * time[m]
+        apart = np.sqrt(off_x * off_x + off_y * off_y) + real(TINY)
+        gap = apart - radius - growth * time[m]
+        there = one if (time[m] >= span[0]) and (time[m] < span[1]) else zero
+        hard = there * max(gains.margin - gap, zero)
+        deep = min(hard, deepest)
+        lack = there * max(one - gap * comfort[m], zero)
+        near = gains.near * (one + safety[m])
+        cost[m] += gains.collision * deep * (hard + hard - deep) + near * lack * lack
+        rate = -two * (gains.collision * deep + near * comfort[m] * lack) / apart
+        pull_x[m] += rate * off_x
+        pull_y[m] += rate * off_y
+        closing = off_x * speed_x + off_y * speed_y + growth * apart
+        widened = two * near * lack * (lack - one) * gains.widening * comfort[m]
+        later[m] += (rate * closing + widened) * time[m]
 
 
 @compiled

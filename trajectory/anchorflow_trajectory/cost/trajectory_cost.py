@@ -1,6 +1,6 @@
 """The cost of a trajectory: hard limits, and the three styles that a caller weighs.
 
-    J = B + u_safety S + u_energy E + u_smooth M + D + H
+    J = B + u_safety S + u_energy E + u_smooth M + D + P + H
 
     B  duration over the scene's reference time: trajectories stay finite in every style
     S  mean squared shortfall of clearance from a comfortable distance, and mean squared speed: far
@@ -10,7 +10,9 @@
     M  mean squared jerk over a reference jerk^2
     D  the integral of 1 + surcharge along the path, over the way that v_max covers in the
        reference time: dear ground, in every style alike; nothing on a map without surcharge
-    H  hinges on clearance, speed and acceleration just inside their limits
+    P  mean squared shortfall of distance to each thing that moves from a comfortable distance,
+       which grows with time: in every style, and more in a safe one
+    H  hinges on clearance, also to what moves, speed and acceleration just inside their limits
     u  the requested weights, raised to a power and normalised: the corners and the middle of the
        triangle stay, and points between lean clearly to one side
 
@@ -32,6 +34,7 @@ from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.cost.fields import CostFields, Grid
 from anchorflow_trajectory.cost.kernels import Gains, Problem, cost_of_splines
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 
 STEEP = 6.0
@@ -50,10 +53,13 @@ class CostWeights:
     short: float = 4.0
     smooth: float = 1.0
     dear: float = 12.0
+    near: float = 6.0
     collision: float = 400.0
     speed: float = 240.0
     acceleration: float = 540.0
     comfort: float = 0.6  # m of clearance from which more is worth nothing
+    distance: float = 0.5  # m of clearance to what moves from which more is worth nothing, now
+    widening: float = 0.1  # m/s by which that distance grows, since tracks are told by guess
     contrast: float = 3.0  # power to which the style's weights are raised
     limit_share: float = 0.97  # the hinges start at this share of v_max and a_max
 
@@ -123,12 +129,14 @@ class TrajectoryCost:
         if self.fields.surcharge is not None:
             dear, dearest = w.dear, float(self.fields.surcharge.values.max())
             w = w.stiffer(max(1.0, dearest / STEEP))
-        gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, dear, w.collision, w.speed)
-        gains += (w.acceleration, w.comfort, w.limit_share, self.margin)
+        gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, dear, w.near)
+        gains += (w.collision, w.speed, w.acceleration, w.comfort, w.distance, w.widening)
+        gains += (w.limit_share, self.margin)
         gains += (limits.v_max, limits.a_max, limits.jerk_scale, self.reference_s)
         return Problem(
             self.basis.band(dtype),
             Grid.of(self.fields.clearance, dtype),
             Grid.of(self.fields.surcharge, dtype),
+            Discs.of(self.fields.movers, dtype),
             Gains(*np.array(gains, dtype)),
         )

@@ -15,6 +15,7 @@ from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.finish.certificate import Judge, is_safe
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
 from anchorflow_trajectory.spline.kernels import EndPoints, end_point
 from anchorflow_trajectory.threads import Spread, in_one
@@ -36,6 +37,7 @@ def bisect_to_safe(
     *,
     route: NDArray[np.intp],
     certified_margin: float = 0.0,
+    movers: MovingDiscs | None = None,
     spread: Spread = in_one,
 ) -> Splines:
     """Return the splines with those that are not `safe` [M] moved, if any is safe.
@@ -45,7 +47,7 @@ def bisect_to_safe(
     splines do not all end in the same place.
 
     route: [M] index of the route that each follows
-    certified_margin: m, as for `safe`
+    certified_margin, movers: as for `safe`
     spread: runs ranges of the failed splines on threads
     """
     if safe.all() or not safe.any():
@@ -60,7 +62,7 @@ def bisect_to_safe(
     places = np.stack([failed, first, second], axis=1)
     share = np.where(route[first] == route[second], apart, 0.0)
     points = basis.points_of(ends)
-    judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
+    judge = Judge.of(basis, field, limits, certified_margin, movers, dtype=control.dtype)
     moved = np.empty((len(control), len(failed), control.shape[2]), control.dtype)
     duration = np.empty(len(failed))
 

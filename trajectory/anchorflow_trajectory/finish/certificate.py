@@ -16,6 +16,7 @@ from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid, look_up
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import Discs, MovingDiscs, moving_clearance
 from anchorflow_trajectory.spline.basis import Ends, SplineBasis, Splines
 from anchorflow_trajectory.spline.kernels import Band, sample_one
 
@@ -24,6 +25,7 @@ BULGE = 0.01  # m from the chord of two samples, up to which the chord stands fo
 FAR_OUT = 4  # half perimeters of the map: a longer leg has its least clearance at an end
 # A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
 SHARE_OF_CELL = 0.3
+APART = 0.002  # m beyond a margin that is kept from what moves, against rounding
 SPEED_TOLERANCE, ACCELERATION_TOLERANCE = 1.02, 1.05
 END_TOLERANCE = 0.05  # m by which sampled states may miss an end
 
@@ -53,16 +55,25 @@ def verify(
     limits: MotionLimits,
     *,
     certified_margin: float = 0.0,
+    movers: MovingDiscs | None = None,
+    duration: FloatArray | None = None,
 ) -> Verdict:
     """Check positions, velocities and accelerations [M, T, D].
 
     certified_margin: m beyond the robot's radius from every obstacle and from the map's edge; a
         share of a cell is added, so that it holds for other interpolations too
+    movers: what moves, wider by the robot's radius; with it, duration: [M] s
     """
     position, velocity, acceleration = states
     position = np.ascontiguousarray(position)
     clearance = _motion_clearance(Grid.of(field, position.dtype), position)
     free = clearance >= required_clearance(field, certified_margin)
+    if movers is not None:
+        assert duration is not None
+        discs, lasting = Discs.of(movers, position.dtype), np.asarray(duration, np.float64)
+        apart = _moving_clearances(discs, position, lasting)
+        free &= apart >= certified_margin + APART
+        clearance = np.minimum(clearance, apart)
     feasible = largest_length(velocity) <= SPEED_TOLERANCE * limits.v_max
     feasible &= largest_length(acceleration) <= ACCELERATION_TOLERANCE * limits.a_max
     return Verdict(clearance, free, feasible)
@@ -97,10 +108,11 @@ def are_safe(
     limits: MotionLimits,
     *,
     certified_margin: float = 0.0,
+    movers: MovingDiscs | None = None,
 ) -> BoolArray:
     """Return `verify(...).safe` [M] for the states of M splines, in less time."""
     control = np.ascontiguousarray(splines.control)
-    judge = Judge.of(basis, field, limits, certified_margin, dtype=control.dtype)
+    judge = Judge.of(basis, field, limits, certified_margin, movers, dtype=control.dtype)
     return _are_safe(control, np.ascontiguousarray(splines.duration, np.float64), judge)
 
 
@@ -109,7 +121,9 @@ class Judge(NamedTuple):
 
     band: Band
     grid: Grid
+    movers: Discs
     clearance: float
+    apart: float
     speed: float
     acceleration: float
 
@@ -119,6 +133,7 @@ class Judge(NamedTuple):
         field: GridField,
         limits: MotionLimits,
         certified_margin: float,
+        movers: MovingDiscs | None = None,
         *,
         dtype: DTypeLike,
     ) -> Judge:
@@ -126,7 +141,9 @@ class Judge(NamedTuple):
         return Judge(
             basis.band(dtype),
             Grid.of(field, dtype),
+            Discs.of(movers, dtype),
             float(required_clearance(field, certified_margin)),
+            float(certified_margin + APART),
             float(SPEED_TOLERANCE * limits.v_max),
             float(ACCELERATION_TOLERANCE * limits.a_max),
         )
@@ -155,6 +172,10 @@ def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: J
         if not np.sqrt(x * x + y * y) <= judge.acceleration:
             return False
         path[t] = sample_one(control, m, judge.band, t, 0)
+    if len(judge.movers.radius):
+        apart = moving_clearance(judge.movers, path, duration[m], judge.apart, judge.apart)
+        if not apart >= judge.apart:
+            return False
     return _clearance_along(judge.grid, path, judge.clearance) >= judge.clearance
 
 
@@ -191,6 +212,16 @@ def _motion_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
     least = np.empty(len(positions), positions.dtype)
     for m in range(len(positions)):
         least[m] = _clearance_along(grid, positions[m], -np.inf)
+    return least
+
+
+@compiled
+def _moving_clearances(
+    discs: Discs, positions: FloatArray, duration: NDArray[np.float64]
+) -> FloatArray:
+    least = np.empty(len(positions), positions.dtype)
+    for m in range(len(positions)):
+        least[m] = moving_clearance(discs, positions[m], duration[m], -np.inf, np.inf)
     return least
 
 

@@ -67,7 +67,10 @@ class OptimisationPass:
         problem, style = cost.problem(dtype), cost.leaning(len(splines), dtype)
         descent = Descent.of(cost, ends, steps=self.steps, rate=self.rate, dtype=dtype)
         timing, points = self._timing(cost, ends), basis.points_of(ends)
-        judge = Judge.of(basis, cost.fields.clearance, limits, certified_margin, dtype=dtype)
+        fields = cost.fields
+        judge = Judge.of(
+            basis, fields.clearance, limits, certified_margin, fields.movers, dtype=dtype
+        )
 
         def work(begin: int, end: int) -> None:
             _run(

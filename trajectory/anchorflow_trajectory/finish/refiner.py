@@ -36,6 +36,7 @@ HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is
 # on a finer one, and there the cheapest starts of each route get the longest pass. Its rate is for
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
+DODGE_STEPS = 24  # of other ways past what moves, where no anchor is safe
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
@@ -135,6 +136,8 @@ class Refiner:
             field,
             scene.motion,
             certified_margin=spec.certified_margin,
+            movers=scene.cost_fields.movers,
+            duration=splines.duration,
         )
         safe = verdict.safe
         if not is_finished:
@@ -155,14 +158,7 @@ class Refiner:
         scene, margin = self.scene, spec.safety_margin
         if spec.certified_margin > 0.0:
             margin = max(margin, spec.certified_margin + AIM_BEYOND)
-        return TrajectoryCost(
-            scene.basis,
-            scene.cost_fields,
-            scene.motion,
-            scene.effective_style,
-            scene.reference_s,
-            margin,
-        )
+        return scene.cost(margin)
 
     def fitted(self, states: FloatArray) -> Splines:
         """Return the splines nearest to states [N, T, 3D + 1]; a horizon sets their duration."""
@@ -204,6 +200,10 @@ class Refiner:
         sound = sound[self._on_route(splines[sound], cost.basis, route[sound])]
         reached = self._has_any(route[sound])
         lost = np.flatnonzero(self._has_any(route) & ~reached)
+        if scene.ways.others is not None:  # many ways past what moves are impossible
+            lost = lost[:0]
+            if not len(sound):
+                splines, safe = self._dodged(splines, safe, cost, certified, barrier)
         if len(lost):
             restart = Reinitialisation(splines, safe.copy(), route, lost)
             cost = self._reinitialise(restart, cost, certified, barrier)
@@ -217,8 +217,27 @@ class Refiner:
             scene.motion,
             route=route,
             certified_margin=certified,
+            movers=cost.fields.movers,
             spread=self.spread,
         )
+
+    def _dodged(
+        self,
+        splines: Splines,
+        safe: BoolArray,
+        cost: TrajectoryCost,
+        certified: float,
+        barrier: ControlBarrier | None,
+    ) -> tuple[Splines, BoolArray]:
+        """Replace anchors, none of which is safe, by other ways past what moves that are."""
+        others = self.scene.ways.others
+        assert others is not None
+        longer = OptimisationPass(DODGE_STEPS, RESTART_RATE, slowed_after=True)
+        tried, gained = self._optimised(longer, cost, others, certified, barrier)
+        found = np.flatnonzero(gained)[: len(splines)]
+        places = np.arange(len(found))
+        safe[places] = True
+        return splines.replaced(places, tried[found]), safe
 
     def _reinitialise(
         self,
@@ -283,7 +302,7 @@ class Refiner:
     def _on_route(self, splines: Splines, basis: SplineBasis, route: NDArray[np.intp]) -> BoolArray:
         """Return which splines pass the obstacles on the same sides as their route: [M]."""
         scene = self.scene
-        if len(scene.routes) < 2:
+        if len(scene.routes) < 2 or scene.movers is not None:
             return np.ones(len(splines), np.bool_)
         positions = splines.control.transpose(1, 0, 2) @ basis.position.T
         found = scene.rays.signatures(
@@ -319,13 +338,14 @@ class Refiner:
         return splines.replaced(failed[gained], corrected[gained]), safe
 
     def _safe(self, splines: Splines, basis: SplineBasis, certified: float) -> BoolArray:
-        scene = self.scene
+        fields = self.scene.cost_fields
         return are_safe(
             splines,
             basis,
-            scene.cost_fields.clearance,
-            scene.motion,
+            fields.clearance,
+            self.scene.motion,
             certified_margin=certified,
+            movers=fields.movers,
         )
 
     def _barrier(self, field: GridField, certified: float) -> ControlBarrier:

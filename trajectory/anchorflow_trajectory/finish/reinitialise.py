@@ -163,8 +163,15 @@ def _placed(route: Route, basis: SplineBasis, dwell: float) -> FloatArray:
 def _resting(scene: Scene, basis: SplineBasis, certified_margin: float) -> Splines:
     """Return the smoothest curve between both ends in its least safe duration, if any."""
     curves = basis.rest_curves(scene.ends, _durations(scene, REST_STRETCHES))
-    field = scene.cost_fields.clearance
-    safe = are_safe(curves, basis, field, scene.motion, certified_margin=certified_margin)
+    fields = scene.cost_fields
+    safe = are_safe(
+        curves,
+        basis,
+        fields.clearance,
+        scene.motion,
+        certified_margin=certified_margin,
+        movers=fields.movers,
+    )
     return curves[np.flatnonzero(safe)[:1]]
 
 

@@ -130,6 +130,12 @@ def polyline_length(points: FloatArray) -> float:
     return float(np.sqrt((legs * legs).sum(1)).sum())
 
 
+def place_along(points: FloatArray, way: float) -> FloatArray:
+    """Return [2] m, the place `way` m along a polyline [K, 2], or its end."""
+    marks = np.append(0.0, np.hypot(*np.diff(points, axis=0).T).cumsum())
+    return np.array([np.interp(way, marks, axis) for axis in points.T])
+
+
 @compiled
 def charge_along(points: FloatArray, surcharge: Lengths) -> float:
     """The integral [cells] of the surcharge [H, W] along a polyline [K, 2] in cells."""

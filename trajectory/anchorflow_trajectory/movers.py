@@ -1,0 +1,223 @@
+"""What moves: discs along their told tracks, whose clearance depends on time.
+
+Time 0 is the moment at which anchors begin. A disc moves in straight legs of equal time and goes on
+as in its last leg; one at constant velocity has a single leg.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from anchorflow_trajectory import FloatArray
+from anchorflow_trajectory.caching import cached_property
+from anchorflow_trajectory.compiled import compiled
+
+SMALL_BULGE = 0.01  # m from the chord of two samples, beyond which a leg is cut
+MOST_PIECES = 64  # of a leg
+BENT = 1.25  # the second derivative inside a leg over that at its ends, at most
+
+
+@dataclass(frozen=True, eq=False)
+class MovingDiscs:
+    """M discs.
+
+    places: float64 [M, K + 1, 2] m, now and at every further `step_s`
+    radius: [M] m, now; growth: m/s by which every radius grows
+    """
+
+    places: NDArray[np.float64]
+    radius: NDArray[np.float64]
+    step_s: float = 1.0
+    growth: float = 0.0
+
+    @staticmethod
+    def of(
+        position: FloatArray,
+        velocity: FloatArray | None,
+        radius: FloatArray,
+        *,
+        forecast: FloatArray | None = None,
+        forecast_dt: float | None = None,
+        growth: float = 0.0,
+    ) -> MovingDiscs:
+        """Build discs at positions [M, 2] with velocities [M, 2], or with a forecast.
+
+        forecast: [M, K, 2] m, after each further `forecast_dt`; it takes the velocity's place
+        """
+        step_s = 1.0
+        if forecast is None:
+            assert velocity is not None
+            forecast = (position + velocity)[:, None]
+        else:
+            assert forecast_dt is not None
+            step_s = forecast_dt
+        places = np.concatenate([position[:, None], forecast], axis=1, dtype=np.float64)
+        return MovingDiscs(places, np.asarray(radius, np.float64), float(step_s), float(growth))
+
+    def wider(self, by: float) -> MovingDiscs:
+        """Return them with every radius `by` m larger, such as by that of a robot."""
+        return replace(self, radius=self.radius + by)
+
+    @cached_property
+    def made(self) -> dict[Any, Any]:
+        """Return the cache of `Discs` for compiled loops, by dtype."""
+        return {}
+
+
+class Discs(NamedTuple):
+    """Moving discs as compiled loops read them, numbers of one type; see `MovingDiscs`."""
+
+    places: FloatArray
+    radius: FloatArray
+    step: np.floating
+    growth: np.floating
+
+    @staticmethod
+    def of(movers: MovingDiscs | None, dtype: DTypeLike) -> Discs:
+        """Return the discs in numbers of a dtype, cached; none for None."""
+        if movers is None:
+            return _nothing(np.dtype(dtype))
+        if (made := movers.made.get(dtype)) is None:
+            real = np.dtype(dtype).type
+            places = np.ascontiguousarray(movers.places, dtype)
+            radius = movers.radius.astype(dtype)
+            made = Discs(places, radius, real(movers.step_s), real(movers.growth))
+            movers.made[dtype] = made
+        return made
+
+
+@cache
+def _nothing(dtype: np.dtype) -> Discs:
+    real = dtype.type
+    return Discs(np.zeros((0, 2, 2), dtype), np.zeros(0, dtype), real(1.0), real(0.0))
+
+
+@compiled
+def place_at(discs: Discs, j: int, time: float) -> tuple[float, float]:
+    """x and y of disc j after `time` s."""
+    leg = min(int(time / discs.step), discs.places.shape[1] - 2)
+    share = time / discs.step - leg
+    x, y = discs.places[j, leg, 0], discs.places[j, leg, 1]
+    x += share * (discs.places[j, leg + 1, 0] - x)
+    y += share * (discs.places[j, leg + 1, 1] - y)
+    return x, y
+
+
+@compiled
+def moving_clearance(
+    discs: Discs, path: FloatArray, duration: float, enough: float, most: float
+) -> float:
+    """Return a lower bound of the least clearance [m] to discs along samples [T, 2] and between.
+
+    It stops below `enough`, and returns no more than `most`. Between two samples the motion stays
+    within a bulge of its chord, which is followed in continuous time.
+    """
+    steps, least, legs = len(path), most, discs.places.shape[1] - 1
+    stride, bulge = duration / (steps - 1), np.empty(steps)
+    for t in range(1, steps):
+        bulge[t] = _bulge(path, t)
+        if not np.isfinite(bulge[t]):
+            return -np.inf
+    for j in range(len(discs.radius)):
+        speed_x = (discs.places[j, 1, 0] - discs.places[j, 0, 0]) / discs.step
+        speed_y = (discs.places[j, 1, 1] - discs.places[j, 0, 1]) / discs.step
+        x, y = path[0, 0] - discs.places[j, 0, 0], path[0, 1] - discs.places[j, 0, 1]
+        for t in range(1, steps):
+            if legs > 1 or bulge[t] > SMALL_BULGE:
+                least = min(least, _bent_clearance(discs, j, path, t, stride, bulge[t]))
+            to_x = path[t, 0] - discs.places[j, 0, 0] - speed_x * (t * stride)
+            to_y = path[t, 1] - discs.places[j, 0, 1] - speed_y * (t * stride)
+            if legs == 1 and bulge[t] <= SMALL_BULGE:
+                radius = discs.radius[j] + discs.growth * (t * stride) + bulge[t]
+                far = radius + least
+                beside = min(x, to_x) > far or max(x, to_x) < -far
+                if not (beside or min(y, to_y) > far or max(y, to_y) < -far):
+                    least = min(least, _least_length(x, y, to_x, to_y) - radius)
+            if not least >= enough:
+                return least
+            x, y = to_x, to_y
+    return least
+
+
+@compiled
+def _bulge(path: FloatArray, t: int) -> float:
+    """Return m by which the motion from sample t - 1 to t may leave its chord."""
+    steps = len(path)
+    here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
+    b_x = path[here - 1, 0] - 2 * path[here, 0] + path[here + 1, 0]
+    b_y = path[here - 1, 1] - 2 * path[here, 1] + path[here + 1, 1]
+    to_b_x = path[there - 1, 0] - 2 * path[there, 0] + path[there + 1, 0]
+    to_b_y = path[there - 1, 1] - 2 * path[there, 1] + path[there + 1, 1]
+    bent = max(b_x * b_x + b_y * b_y, to_b_x * to_b_x + to_b_y * to_b_y)
+    return BENT * np.sqrt(bent) / 8
+
+
+@compiled
+def _bent_clearance(
+    discs: Discs, j: int, path: FloatArray, t: int, stride: float, bulge: float
+) -> float:
+    """Return the same for one leg and one disc, cut into pieces that are nearly straight.
+
+    In between the second derivative is linear, as in the certificate of what stands still.
+    """
+    steps, least = len(path), np.inf
+    here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
+    pieces = int(min(max(np.ceil(np.sqrt(bulge / SMALL_BULGE)), 1), MOST_PIECES))
+    x, y = path[t - 1, 0], path[t - 1, 1]
+    for piece in range(1, pieces + 1):
+        s = piece / pieces
+        lift = s * (1 - s) / 6
+        to_x = path[t - 1, 0] + s * (path[t, 0] - path[t - 1, 0])
+        to_y = path[t - 1, 1] + s * (path[t, 1] - path[t - 1, 1])
+        for which, share in ((here, 2 - s), (there, 1 + s)):
+            to_x -= lift * share * (path[which - 1, 0] - 2 * path[which, 0] + path[which + 1, 0])
+            to_y -= lift * share * (path[which - 1, 1] - 2 * path[which, 1] + path[which + 1, 1])
+        begin, end = (t - 1 + (piece - 1) / pieces) * stride, (t - 1 + s) * stride
+        chord = _chord_clearance(discs, j, (x, y), (to_x, to_y), begin, end)
+        least = min(least, chord - bulge / (pieces * pieces))
+        x, y = to_x, to_y
+    return least
+
+
+@compiled
+def _chord_clearance(
+    discs: Discs,
+    j: int,
+    place: tuple[float, float],
+    target: tuple[float, float],
+    begin: float,
+    end: float,
+) -> float:
+    """Return the least clearance to disc j from one place to another, straight, begin to end s."""
+    least, radius = np.inf, discs.radius[j] + discs.growth * end
+    at, (x, y), legs = begin, place, discs.places.shape[1] - 1
+    while at < end:
+        # The disc's own legs cut the chord.
+        leg = int(at / discs.step + 1e-9)
+        until = min((leg + 1) * discs.step, end) if leg < legs - 1 else end
+        share = (until - begin) / (end - begin)
+        to_x = place[0] + share * (target[0] - place[0])
+        to_y = place[1] + share * (target[1] - place[1])
+        q_x, q_y = place_at(discs, j, at)
+        to_q_x, to_q_y = place_at(discs, j, until)
+        gap = _least_length(x - q_x, y - q_y, to_x - to_q_x, to_y - to_q_y)
+        least = min(least, gap - radius)
+        at, x, y = until, to_x, to_y
+    return least
+
+
+@compiled
+def _least_length(x: float, y: float, to_x: float, to_y: float) -> float:
+    """Return the least distance of the origin to a straight line between two points."""
+    along_x, along_y = to_x - x, to_y - y
+    square = along_x * along_x + along_y * along_y
+    share = 0.0
+    if square > 0.0:
+        share = min(max(-(x * along_x + y * along_y) / square, 0.0), 1.0)
+    x, y = x + share * along_x, y + share * along_y
+    return np.sqrt(x * x + y * y)
