@@ -43,7 +43,7 @@ class MotionLimits:
         ramp = 0.5 * np.pi * cruise / self.a_max
         if duration >= 2.0 * ramp:
             return cruise * (duration - ramp) + 0.5 * ramp * min(speed, cruise)
-        return 0.25 * duration**2 * self.a_max / (0.5 * np.pi) + 0.4 * speed * min(duration, ramp)
+        return 0.25 * duration**2 * self.a_max / (0.5 * np.pi) + 0.4 * speed * duration
 
     def durations(self, states: FloatArray) -> NDArray[np.float64]:
         """Return the durations [N] s of states [N, T, 3D + 1]: the horizon, or their own."""

@@ -54,6 +54,7 @@ COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
+STOPPING = 0.4  # share of the way at its speed, that a robot which comes to rest smoothly covers
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -213,15 +214,17 @@ class Scene:
             return self
         goal, start = self.x_goal[:2], self.x_curr[:2]
         horizon, dim = self.motion.horizon_s, len(self.x_goal) // 2
+        velocity, about, within = self.x_curr[dim : dim + 2], start, np.inf
         if horizon is None:
             usual = nominal_duration(self._way, self.motion)
             times = [usual, *(usual + wait for wait in WAITS)]
         else:
-            reach = self.motion.most_way(horizon, float(np.linalg.norm(self.x_curr[dim : dim + 2])))
+            reach = self.motion.most_way(horizon, float(np.linalg.norm(velocity)))
             if reach < self._way and self.routes:
                 goal = place_along(self.routes[0].points, reach)
+            about, within = start + STOPPING * horizon * velocity, self.motion.most_way(horizon, 0.0)
             times = [horizon]
-        goal = place_to_end(goal, start, self.cost_fields, times, margin=MARGIN)
+        goal = place_to_end(goal, start, self.cost_fields, times, about=about, within=within)
         if goal is self.x_goal[:2] or np.array_equal(goal, self.x_goal[:2]):
             return self
         rest = self.x_goal[2:].copy()

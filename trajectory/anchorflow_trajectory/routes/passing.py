@@ -24,12 +24,13 @@ from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import CostFields
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
-from anchorflow_trajectory.finish.certificate import path_clearance
+from anchorflow_trajectory.finish.certificate import path_clearance, required_clearance
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import Discs, place_at
 from anchorflow_trajectory.spline.basis import PLANE, Ends, SplineBasis, Splines
 
 MOST_WAYS, MOST_OTHERS = 8, 64
+END_ROOM = 0.15  # m that what moves leaves to a place to end at
 ASIDE, MOST_ASIDE, DIRECTIONS = 0.15, 3.0, 24  # m, m, and places a ring about a goal that is taken
 WHOLE_LATTICE = 2  # routes that get every manoeuvre; the others only slow down and wait
 KEYS_SEED = 1
@@ -80,17 +81,18 @@ def place_to_end(
     fields: CostFields,
     times: Sequence[float],
     *,
-    margin: float,
+    about: FloatArray,
+    within: float,
 ) -> FloatArray:
     """Return the goal [2] m, or the nearest place to it that is clear of what moves on arrival.
 
     Among places as near as each other those towards the start [2] come first. The goal stays if no
-    place within MOST_ASIDE is clear.
+    place within MOST_ASIDE is clear and at most `within` m from `about` [2].
 
-    fields: of the scene; times: s of arrival, one of which has to do; margin: m
+    fields: of the scene; times: s of arrival, one of which has to do
     """
     discs = Discs.of(fields.movers, np.float64)
-    if _is_clear(discs, goal[None], times, margin).any():
+    if _is_clear(discs, goal[None], times, END_ROOM).any():
         return goal
     back = np.arctan2(*(start - goal)[::-1])
     turns = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
@@ -98,8 +100,11 @@ def place_to_end(
     reach = np.arange(1, round(MOST_ASIDE / ASIDE) + 1) * ASIDE
     offsets = reach[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], -1)
     places = goal + offsets.reshape(-1, 2)
-    clear = _is_clear(discs, places, times, margin).any(1)
-    clear &= path_clearance(fields.clearance, places[:, None]) >= margin
+    clear = _is_clear(discs, places, times, END_ROOM).any(1)
+    clear &= path_clearance(fields.clearance, places[:, None]) >= required_clearance(
+        fields.clearance, 0.0
+    )
+    clear &= np.linalg.norm(places - about, axis=-1) <= within
     return places[clear.argmax()] if clear.any() else goal
 
 
