@@ -40,7 +40,7 @@ def assert_same(left: Any, right: Any) -> None:
             assert isinstance(b, np.ndarray)
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
-        elif field.name in ("map_scenes", "cost_map", "warm_start") and a is not None:
+        elif field.name in ("map_scenes", "cost_map", "warm_start", "obstacles") and a is not None:
             assert_same(a, b)
         elif field.name == "arrays":
             assert list(left.arrays) == list(right.arrays)
@@ -49,6 +49,22 @@ def assert_same(left: Any, right: Any) -> None:
                 assert array.dtype == right.arrays[name].dtype
         else:
             assert a == b, field.name
+
+
+@st.composite
+def obstacles(draw: st.DrawFn) -> dict[str, Any]:
+    """A few tracks, with velocities or a forecast or both, or none at all."""
+    size, steps = draw(st.integers(0, 3)), draw(st.integers(1, 3))
+
+    def arrays(*shape: int, low: float = -90.0) -> st.SearchStrategy[Any]:
+        return hnp.arrays(float, (size, *shape), elements=st.floats(low, 90.0))
+
+    forecast = {"forecast": arrays(steps, 2), "forecast_dt": st.floats(1e-3, 600)}
+    motion = draw(
+        st.sampled_from([{"velocity": arrays(2)}, forecast, forecast | {"velocity": arrays(2)}])
+    )
+    fields = {"position": arrays(2), "radius": arrays(low=0.0), **motion}
+    return draw(st.fixed_dictionaries(fields, optional={"growth": st.floats(0, 9)}))
 
 
 @st.composite
@@ -82,6 +98,7 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
         "goal_tolerance": st.fixed_dictionaries(
             {"position": st.floats(0, 100)}, optional={"heading": st.floats(0, 3)}
         ),
+        "obstacles": obstacles(),
         "warm_start": st.fixed_dictionaries(
             {"trajectory": st.just([[0.1] * dim, [0.3] * dim]), "tau": st.just(0.7)},
             optional={"dt": st.floats(1e-3, 600)},

@@ -207,7 +207,7 @@ def _decimals(numbers: NDArray[np.float64]) -> int:
 
 def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> ResolvedRequest:
     """Return the request in a frame that begins at the reference."""
-    scenes, warm = request.on_map, request.warm_start
+    scenes, warm, obstacles = request.on_map, request.warm_start, request.obstacles
     cost_map = replace(scenes.cost_map, origin=_near(scenes.cost_map.origin, reference))
     moved = replace(
         scenes,
@@ -217,7 +217,14 @@ def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> Resolved
     )
     if warm is not None:
         warm = replace(warm, trajectory=_near(warm.trajectory, reference))
-    return replace(request, map_scenes=moved, warm_start=warm)
+    if obstacles is not None:
+        forecast = obstacles.forecast
+        obstacles = replace(
+            obstacles,
+            position=_near(obstacles.position, reference),
+            forecast=None if forecast is None else _near(forecast, reference),
+        )
+    return replace(request, map_scenes=moved, warm_start=warm, obstacles=obstacles)
 
 
 def _near(vectors: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
