@@ -169,6 +169,8 @@ def _array(name: str, value: Any) -> NDArray[Any]:
     own = name in ARRAY_DTYPES or name == "dt"
     if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and own):
         raise TypeError(f"expected numbers in {name}, got {array.dtype}")
+    if name == "routes" and array.dtype.kind not in "iu":
+        raise TypeError(f"expected whole numbers in {name}, got {array.dtype}")
     return array
 
 

@@ -135,6 +135,7 @@ def batches(draw: st.DrawFn) -> AnchorBatch:
         scores=draw(per_anchor),
         clearance=draw(per_anchor),
         safe=draw(hnp.arrays(bool, anchors)),
+        **draw(st.fixed_dictionaries({}, optional={"routes": hnp.arrays(np.int64, anchors)})),
         dt=draw(st.floats(0.01, 1) | hnp.arrays(float, anchors, elements=st.floats(1e-6, 600))),
         seed=draw(st.integers(0, 2**63 - 1)),
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),
@@ -265,6 +266,12 @@ def test_dt_is_a_number_or_a_list() -> None:
 def test_an_answer_with_another_dt_is_invalid(dt: Any) -> None:
     with pytest.raises(InvalidAnswer, match=r"dt|inhomogeneous"):
         JSON.decode_answer(answer_in_json(dt=dt))
+
+
+def test_routes_are_whole_numbers() -> None:
+    assert JSON.decode_answer(answer_in_json(routes=[3, 0])).arrays["routes"].dtype == np.int64
+    with pytest.raises(InvalidAnswer, match="expected whole numbers in routes"):
+        JSON.decode_answer(answer_in_json(routes=[0.5, 1]))
 
 
 @pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"model": 3}', b'{"timing_ms": []}'])
