@@ -17,6 +17,7 @@ from anchorflow_client.contract import (
     CostMapSpec,
     GoalTolerance,
     ModelCard,
+    Obstacles,
     RefineChoice,
     SamplerChoice,
     WarmStart,
@@ -37,6 +38,7 @@ from anchorflow_client.contract.fields import (
     STATE_FIELDS,
     V_MAX,
 )
+from anchorflow_client.contract.obstacles import LATER
 from anchorflow_client.contract.request import read_states
 from anchorflow_client.errors import AnchorFlowError, InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
@@ -248,6 +250,17 @@ def build_request(
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id
     )
+
+
+def at_the_state(obstacles: Obstacles | Mapping[str, Any], age_s: float) -> Obstacles:
+    """Return a copy of obstacles observed `age_s` before the robot is in the request's state.
+
+    Raises:
+        InvalidRequest: names the field, or `obstacles_age_s` if it is not from 0 to 600.
+    """
+    age_s = number(age_s, "obstacles_age_s", LATER)
+    observed = Obstacles.from_fields(obstacles)
+    return observed.later(age_s) if age_s > 0.0 else observed
 
 
 def requested_margin(seen: Observation, config: PlannerConfig) -> float:
