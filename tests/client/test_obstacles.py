@@ -80,7 +80,7 @@ def test_later_they_are_further_along_their_tracks_and_wider(
     np.testing.assert_allclose(later.position, position)
     np.testing.assert_allclose(later.radius, np.array([0.3, 0.1]) + 0.2 * seconds)
     assert (later.forecast is None) == (forecast is None)
-    if forecast is not None:
+    if later.forecast is not None:
         np.testing.assert_allclose(later.forecast, forecast)
     assert later.growth == 0.2
     assert later.forecast_dt == given.get("forecast_dt")
