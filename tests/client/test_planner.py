@@ -121,6 +121,19 @@ def test_obstacles_are_copied_and_moved_to_the_moment_of_the_state(stage: Stage)
     assert stage.requests[-1].obstacles is None
 
 
+@pytest.mark.parametrize(("age_s", "on_route"), [(0.0, [False, True]), (0.5, [True, True])])
+def test_anchors_before_and_behind_a_person_are_on_two_routes(
+    stage: Stage, age_s: float, on_route: list[bool]
+) -> None:
+    """The second anchor passes before a person of whom it was told at once, else behind as well."""
+    walker = {"position": [[1.0, -0.75]], "velocity": [[0.0, 1.0]], "radius": [0.2]}
+
+    plan = stage.cycle(obstacles=walker, obstacles_age_s=age_s)
+
+    assert plan.on_route is not None
+    assert plan.on_route.tolist() == on_route
+
+
 def test_a_cost_map_object_is_copied_too(stage: Stage) -> None:
     grid = np.zeros((1, 16, 16), np.float32)
     stage.update(cost_map=CostMap(grid, 0.5, np.array([-4.0, -4.0])), resolution=None)

@@ -7,7 +7,7 @@ from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.checks import Interval, frozen, number, numbers, wrong_shape
 from anchorflow_client.contract.ranges import (
@@ -114,16 +114,23 @@ class Obstacles:
         seconds = number(seconds, "seconds", LATER)
         grown = replace(self, radius=frozen(self.radius + self.growth * seconds))
         if self.forecast is None:
-            assert self.velocity is not None
-            return replace(grown, position=frozen(self.position + self.velocity * seconds))
+            return replace(grown, position=frozen(self.places(seconds)[:, 0]))
         assert self.forecast_dt is not None
-        places = np.concatenate([self.position[:, None], self.forecast], axis=1)
-        legs = places.shape[1] - 1
-        at = np.arange(legs + 1) + seconds / self.forecast_dt
-        leg = np.minimum(at.astype(int), legs - 1)
-        before, after = places[:, leg], places[:, leg + 1]
-        moved = before + (at - leg)[:, None] * (after - before)
+        moved = self.places(seconds + self.forecast_dt * np.arange(1 + self.forecast.shape[1]))
         return replace(grown, position=frozen(moved[:, 0]), forecast=frozen(moved[:, 1:]))
+
+    def places(self, times: ArrayLike) -> NDArray[np.float64]:
+        """Return the centres [M,K,2] in m at times [K] in s from 0 on; K = 1 for one number."""
+        at = np.atleast_1d(np.asarray(times, np.float64))
+        if self.forecast is None:
+            assert self.velocity is not None
+            return self.position[:, None] + at[:, None] * self.velocity[:, None]
+        assert self.forecast_dt is not None
+        knots = np.concatenate([self.position[:, None], self.forecast], axis=1)
+        at = at / self.forecast_dt
+        leg = np.minimum(at.astype(int), knots.shape[1] - 2)
+        before, after = knots[:, leg], knots[:, leg + 1]
+        return before + (at - leg)[:, None] * (after - before)
 
 
 def _read_array(value: Any, path: str, row: Array) -> NDArray[np.float64]:

@@ -273,7 +273,7 @@ class Planner:
             start_m=math.inf if radius is None else start_clearance(cost_map, place, radius),
             share_m=SHARE_OF_CELL * cost_map.resolution,
         )
-        routes = Routes.among(batch, cost_map)
+        routes = Routes.among(batch, cost_map, request.obstacles)
         return _Answer(request_id, seen.seen_at, place, batch, routes, limits.v_max, reason)
 
     def _seed(self, seed: int) -> int:

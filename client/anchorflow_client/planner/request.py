@@ -107,10 +107,14 @@ class AnchorInUse:
 
     def left(self, now: float) -> Array | None:
         """Return [T,3D], the rest of it at `now` with its own duration; None if it has ended."""
-        if now - self.seen_at >= self._duration_s:
+        if self.left_s(now) <= 0.0:
             return None
         dt = self._duration_s / self._strides
         return self._rest(now, dt - (now - self.seen_at) / self._strides)
+
+    def left_s(self, now: float) -> float:
+        """Return the seconds from `now` to its end, below 0 after it."""
+        return self._duration_s - (now - self.seen_at)
 
     def warm_start(
         self, now: float, tau: float, *, horizon_s: float | None = None
@@ -120,7 +124,7 @@ class AnchorInUse:
         It lasts as long as the next anchors will: the request's horizon, else the horizon of its
         own batch, else, if each anchor has its own duration, until its own end.
         """
-        left_s = self._duration_s - (now - self.seen_at)
+        left_s = self.left_s(now)
         if left_s <= 0.0:
             return None
         own_s = left_s if np.ndim(self.batch.dt) else self._duration_s
