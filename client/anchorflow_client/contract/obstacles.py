@@ -36,7 +36,7 @@ class Obstacles:
     position: Annotated[
         NDArray[np.float64],
         Array(
-            "Centres at time 0; no obstacles if M = 0.",
+            "Centres at the moment of x_curr, on the map or off it.",
             "[M,2]",
             ((0, MAX_OBSTACLES), (2, 2)),
             COORDINATE,
@@ -59,7 +59,7 @@ class Obstacles:
     radius: Annotated[
         NDArray[np.float64],
         Array(
-            "Radii at time 0.",
+            "Radii at that moment.",
             "[M]",
             ((0, MAX_OBSTACLES),),
             OBSTACLE_RADIUS,
@@ -71,7 +71,8 @@ class Obstacles:
     forecast: Annotated[
         NDArray[np.float64] | None,
         Array(
-            "Centres after forecast_dt, 2 forecast_dt and so on, joined by straight lines.",
+            "Centres after forecast_dt, 2 forecast_dt and so on, joined by straight lines; they go "
+            "on as in the last of these.",
             "[M,K,2]",
             ((0, MAX_OBSTACLES), (1, MAX_FORECAST_STEPS), (2, 2)),
             COORDINATE,
@@ -164,8 +165,8 @@ def _check_motion(asked: Mapping[str, Any]) -> None:
 
 
 OBSTACLES = Group(
-    "What moves, as M discs; the clearance of an anchor counts them at the times at which it is "
-    "near them.",
+    "What moves: M discs from the moment of x_curr on, the same in all scenes of a batch; "
+    "clearance and safe count them at the times at which an anchor is near them.",
     rows_of(Obstacles),
 )
 _ARRAY_READERS: Mapping[str, Callable[[Any, str], NDArray[np.float64]]] = {
