@@ -119,6 +119,22 @@ def test_far_from_zero_a_warm_start_and_what_moves_are_displaced_as_the_state_is
     np.testing.assert_array_equal(obstacles.velocity, [[1.0, 0.5]])
 
 
+def test_all_scenes_have_the_same_discs_and_none_without_obstacles(
+    tiny: Bundle, small_request: Build
+) -> None:
+    start = small_request().x_curr[0]
+    track = {"position": [[1.0, 0.5]], "velocity": [[0.0, -1.0]], "radius": [0.3], "growth": 0.1}
+
+    first, second = scenes(small_request(x_curr=[start, start], obstacles=track), tiny)
+    (free,) = scenes(small_request(), tiny)
+
+    assert first.scene.movers is second.scene.movers
+    assert first.scene.movers is not None
+    np.testing.assert_array_equal(first.scene.movers.places, [[[1.0, 0.5], [1.0, -0.5]]])
+    assert (first.scene.movers.radius.tolist(), first.scene.movers.growth) == ([0.3], 0.1)
+    assert free.scene.movers is None
+
+
 def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build) -> None:
     (scene,) = scenes(small_request(), tiny)
     names = tiny.manifest.graphs["encode"].input_names

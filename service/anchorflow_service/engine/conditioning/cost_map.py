@@ -12,6 +12,7 @@ from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     LimitsSpec,
+    Obstacles,
     ResolvedRequest,
 )
 from anchorflow_client.contract.batch import NEAR
@@ -19,6 +20,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
@@ -58,7 +60,8 @@ class CostMapConditioning:
         """
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
-        scenes = [self._scene(near, index) for index in range(request.num_scenes)]
+        movers = moving_discs(near.obstacles)
+        scenes = [self._scene(near, index, movers) for index in range(request.num_scenes)]
         if (tolerance := request.goal_tolerance) is not None:
             for index, scene in enumerate(scenes):
                 moved = _within_tolerance(scene, tolerance.position)
@@ -72,7 +75,7 @@ class CostMapConditioning:
                 scenes[index] = moved
         return [MapScene(near, scene, reference) for scene in scenes]
 
-    def _scene(self, request: ResolvedRequest, index: int) -> Scene:
+    def _scene(self, request: ResolvedRequest, index: int, movers: MovingDiscs | None) -> Scene:
         """Return a scene of a request."""
         cost_map, limits = request.cost_map, _limits(request)
         cells, resolution = finer_cells(cost_map.data[index], cost_map.resolution)
@@ -99,6 +102,7 @@ class CostMapConditioning:
             certified_margin=request.certified_margin,
             cost_penalty=request.cost_penalty,
             channel_weights=cost_map.channel_weights,
+            movers=movers,
         )
 
     def probe(self) -> AnchorRequest:
@@ -146,6 +150,20 @@ class MapScene:
         if not self.reference.any():
             return arrays
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
+
+
+def moving_discs(obstacles: Obstacles | None) -> MovingDiscs | None:
+    """Return the obstacles of a request as discs of their own radius; None if there are none."""
+    if obstacles is None:
+        return None
+    return MovingDiscs.of(
+        obstacles.position,
+        obstacles.velocity,
+        obstacles.radius,
+        forecast=obstacles.forecast,
+        forecast_dt=obstacles.forecast_dt,
+        growth=obstacles.growth,
+    )
 
 
 def _basis_of(manifest: Manifest) -> SplineBasis:
