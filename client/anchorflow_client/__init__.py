@@ -29,6 +29,7 @@ from anchorflow_client.contract import (
     ModelCard as ModelCard,
     ModelId as ModelId,
     NoFinish as NoFinish,
+    Obstacles as Obstacles,
     OdeSpec as OdeSpec,
     RefineChoice as RefineChoice,
     RefineSpec as RefineSpec,

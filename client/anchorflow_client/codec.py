@@ -21,6 +21,7 @@ from anchorflow_client.contract import (
     CostMap,
     GoalTolerance,
     ModelId,
+    Obstacles,
     WarmStart,
 )
 from anchorflow_client.contract.batch import ARRAY_DTYPES
@@ -90,8 +91,8 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
             fields[name] = array if batched else array[0]
     fields["sampler"] = request.sampler and request.sampler.given
     fields["refine"] = request.refine and request.refine.given
-    fields["warm_start"] = request.warm_start and _given(request.warm_start)
-    fields["goal_tolerance"] = request.goal_tolerance and _given(request.goal_tolerance)
+    for name in ("warm_start", "goal_tolerance", "obstacles"):
+        fields[name] = None if fields[name] is None else _given(fields[name])
     fields["inputs"] = request.inputs or None
     fields["outputs"] = list(request.outputs) or None
     return {name: value for name, value in fields.items() if value is not None}
@@ -142,7 +143,7 @@ def _map_fields(cost_map: CostMap, *, batched: bool) -> dict[str, Any]:
     return {name: value for name, value in fields.items() if value is not None}
 
 
-def _given(choice: WarmStart | GoalTolerance) -> dict[str, Any]:
+def _given(choice: WarmStart | GoalTolerance | Obstacles) -> dict[str, Any]:
     return {name: value for name, value in vars(choice).items() if value is not None}
 
 
@@ -168,6 +169,8 @@ def _array(name: str, value: Any) -> NDArray[Any]:
     own = name in ARRAY_DTYPES or name == "dt"
     if array.dtype.kind not in "biufO" or (array.dtype.kind == "O" and own):
         raise TypeError(f"expected numbers in {name}, got {array.dtype}")
+    if name == "routes" and array.dtype.kind not in "iu":
+        raise TypeError(f"expected whole numbers in {name}, got {array.dtype}")
     return array
 
 

@@ -41,6 +41,8 @@ GEOMETRY = "map_geometry"
 TIME_STEP = "dt"
 """A parameter of an answer, or a tensor FP64 [N] if each anchor has its own."""
 
+ROUTES = "routes"
+
 PATH_OF_INPUT = tensor_paths(REQUEST)
 """The JSON paths of the fields that are tensors here, by the name of the tensor."""
 RESERVED = {**dict.fromkeys(PATH_OF_INPUT, FLOATS), GEOMETRY: FLOATS}
@@ -108,6 +110,9 @@ class OipCodec:
                 _put(leaves, name, header.get(key))
             if TIME_STEP in tensors:
                 _put(leaves, TIME_STEP, tensors.pop(TIME_STEP))
+            if ROUTES in tensors:  # written first, the last of the planner's own arrays
+                own = {name: tensors.pop(name) for name in ARRAY_DTYPES if name in tensors}
+                tensors = own | tensors
             fields = nest(leaves)
         except InvalidRequest as error:  # reading raises it in both directions
             raise InvalidAnswer(f"not an answer of the contract: {error}") from error
@@ -141,8 +146,11 @@ def request_of(
 
 
 def answer_tensors(batch: AnchorBatch) -> list[str]:
-    """Return the fields of an answer that are tensors, FP64 first for its alignment."""
-    return [*([TIME_STEP] if np.ndim(batch.dt) else []), *batch.arrays]
+    """Return the fields of an answer that are tensors, those of 8 bytes first for alignment."""
+    wide = [TIME_STEP] if np.ndim(batch.dt) else []
+    if batch.routes is not None:
+        wide.append(ROUTES)
+    return [*wide, *(name for name in batch.arrays if name != ROUTES)]
 
 
 def wanted_outputs(outputs: Any, *, in_binary: bool) -> dict[str, bool]:

@@ -33,6 +33,7 @@ TYPES = (
     contract.RefineChoice,
     contract.WarmStart,
     contract.GoalTolerance,
+    contract.Obstacles,
     RosGrid,
     contract.AnchorBatch,
     contract.ModelCard,

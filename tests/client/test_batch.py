@@ -35,6 +35,43 @@ def test_each_scene_has_its_best() -> None:
     np.testing.assert_array_equal(anchors.best, [2, 1])
 
 
+RANKED = {
+    "scores": [5.0, 9.0, 4.0, 8.0, 3.0, 9.5],
+    "safe": [True, False, True, True, True, False],
+    "routes": [0, 2, 0, 0, 1, 0],
+}
+
+
+@pytest.mark.parametrize(
+    ("k", "per_route", "indices"),
+    [
+        (1, False, [3]),
+        (6, False, [3, 0, 2, 4, 5, 1]),
+        (3, True, [3, 4, 0]),
+        (9, True, [3, 4, 0, 2, 1, 5]),
+    ],
+)
+@pytest.mark.parametrize("scenes", [(), (2,)])
+def test_the_top_k_are_safe_ones_first_and_of_different_routes_if_asked(
+    k: int, per_route: bool, indices: list[int], scenes: tuple[int, ...]
+) -> None:
+    ranked = {name: np.broadcast_to(values, (*scenes, 6)) for name, values in RANKED.items()}
+    anchors = batch(np.zeros((*scenes, 6, 4, 2)), clearance=ranked["scores"], **ranked)
+
+    top = anchors.top_k(k, per_route=per_route)
+
+    np.testing.assert_array_equal(top, np.broadcast_to(indices, (*scenes, len(indices))))
+
+
+def test_an_answer_of_an_older_service_has_no_routes() -> None:
+    assert batch().routes is None
+    assert batch().top_k(2).tolist() == [2, 0]
+    with pytest.raises(LookupError, match="routes: lines gives none"):
+        batch().top_k(2, per_route=True)
+    with pytest.raises(InvalidRequest, match="k: expected an integer from 1"):
+        batch().top_k(0)
+
+
 def test_its_arrays_cannot_be_written() -> None:
     with pytest.raises(ValueError, match="read-only"):
         batch().trajectories[0, 0, 0] = 1.0

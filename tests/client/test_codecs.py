@@ -40,7 +40,7 @@ def assert_same(left: Any, right: Any) -> None:
             assert isinstance(b, np.ndarray)
             np.testing.assert_array_equal(a, b)
             assert a.dtype == b.dtype
-        elif field.name in ("map_scenes", "cost_map", "warm_start") and a is not None:
+        elif field.name in ("map_scenes", "cost_map", "warm_start", "obstacles") and a is not None:
             assert_same(a, b)
         elif field.name == "arrays":
             assert list(left.arrays) == list(right.arrays)
@@ -49,6 +49,22 @@ def assert_same(left: Any, right: Any) -> None:
                 assert array.dtype == right.arrays[name].dtype
         else:
             assert a == b, field.name
+
+
+@st.composite
+def obstacles(draw: st.DrawFn) -> dict[str, Any]:
+    """A few tracks, with velocities or a forecast or both, or none at all."""
+    size, steps = draw(st.integers(0, 3)), draw(st.integers(1, 3))
+
+    def arrays(*shape: int, low: float = -90.0) -> st.SearchStrategy[Any]:
+        return hnp.arrays(float, (size, *shape), elements=st.floats(low, 90.0))
+
+    forecast = {"forecast": arrays(steps, 2), "forecast_dt": st.floats(1e-3, 600)}
+    motion = draw(
+        st.sampled_from([{"velocity": arrays(2)}, forecast, forecast | {"velocity": arrays(2)}])
+    )
+    fields = {"position": arrays(2), "radius": arrays(low=0.0), **motion}
+    return draw(st.fixed_dictionaries(fields, optional={"growth": st.floats(0, 9)}))
 
 
 @st.composite
@@ -82,6 +98,7 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
         "goal_tolerance": st.fixed_dictionaries(
             {"position": st.floats(0, 100)}, optional={"heading": st.floats(0, 3)}
         ),
+        "obstacles": obstacles(),
         "warm_start": st.fixed_dictionaries(
             {"trajectory": st.just([[0.1] * dim, [0.3] * dim]), "tau": st.just(0.7)},
             optional={"dt": st.floats(1e-3, 600)},
@@ -118,6 +135,7 @@ def batches(draw: st.DrawFn) -> AnchorBatch:
         scores=draw(per_anchor),
         clearance=draw(per_anchor),
         safe=draw(hnp.arrays(bool, anchors)),
+        **draw(st.fixed_dictionaries({}, optional={"routes": hnp.arrays(np.int64, anchors)})),
         dt=draw(st.floats(0.01, 1) | hnp.arrays(float, anchors, elements=st.floats(1e-6, 600))),
         seed=draw(st.integers(0, 2**63 - 1)),
         model=ModelId("flowmp-small", "0.1.0", "ab" * 32),
@@ -248,6 +266,12 @@ def test_dt_is_a_number_or_a_list() -> None:
 def test_an_answer_with_another_dt_is_invalid(dt: Any) -> None:
     with pytest.raises(InvalidAnswer, match=r"dt|inhomogeneous"):
         JSON.decode_answer(answer_in_json(dt=dt))
+
+
+def test_routes_are_whole_numbers() -> None:
+    assert JSON.decode_answer(answer_in_json(routes=[3, 0])).arrays["routes"].dtype == np.int64
+    with pytest.raises(InvalidAnswer, match="expected whole numbers in routes"):
+        JSON.decode_answer(answer_in_json(routes=[0.5, 1]))
 
 
 @pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"model": 3}', b'{"timing_ms": []}'])

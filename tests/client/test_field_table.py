@@ -43,7 +43,9 @@ def test_plan_has_every_field_as_a_keyword(kind: type[BaseClient | BaseAsyncClie
 
 
 def test_update_has_the_fields_of_planning_on_a_map() -> None:
-    assert set(keywords_of(Planner.update)) == (set(REQUEST.fields) | PLACE) - NOT_OF_UPDATE
+    own = {"obstacles_age_s"}
+    expected = (set(REQUEST.fields) | PLACE | own) - NOT_OF_UPDATE
+    assert set(keywords_of(Planner.update)) == expected
 
 
 def test_every_keyword_is_told_of() -> None:

@@ -20,7 +20,6 @@ from anchorflow_client import (
     OipCodec,
     Payload,
 )
-from anchorflow_client.contract.batch import ARRAY_DTYPES
 from anchorflow_client.oip_message import pack
 
 CODEC = OipCodec()
@@ -200,6 +199,18 @@ def test_every_tensor_is_aligned(request_id: str) -> None:
         offset += entry["parameters"]["binary_data_size"]
 
 
+def test_the_tensors_of_8_bytes_are_aligned_in_an_answer() -> None:
+    batch = made_batch(np.zeros((3, 1, 1)), dt=np.array([0.1, 0.2, 0.3]), routes=np.arange(3))
+    payload = CODEC.encode_answer(batch)
+
+    names = [entry["name"] for entry in header_of(payload)["outputs"]]
+    assert names[:2] == ["dt", "routes"]
+    read = CODEC.decode_answer(payload)
+    assert read.routes is not None
+    assert read.routes.flags.aligned
+    assert list(read.arrays) == list(batch.arrays)
+
+
 def test_what_is_read_is_the_body_itself_and_cannot_be_written() -> None:
     sent = CODEC.encode_request(golden_request(REQUEST_CONFIG))
     answered = CODEC.encode_answer(golden_answer(ANSWER_CONFIG))
@@ -208,8 +219,7 @@ def test_what_is_read_is_the_body_itself_and_cannot_be_written() -> None:
     batch = CODEC.decode_answer(answered)
 
     assert np.shares_memory(grid, np.frombuffer(sent.body, np.uint8))
-    for name in ARRAY_DTYPES:
-        array = getattr(batch, name)
+    for name, array in batch.arrays.items():
         assert np.shares_memory(array, np.frombuffer(answered.body, np.uint8)), name
         assert not array.flags.writeable
     with pytest.raises(ValueError, match="read-only"):

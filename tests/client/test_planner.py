@@ -16,6 +16,7 @@ from anchorflow_client import (
     ConnectionFailed,
     CostMap,
     InvalidRequest,
+    Obstacles,
     Overloaded,
     WarmStart,
 )
@@ -98,6 +99,39 @@ def test_a_request_holds_copies_of_the_loops_arrays(stage: Stage) -> None:
     assert sent.warm_start.trajectory.max() == 0.0
     assert sent.sampler is not None
     assert sent.sampler.schedule == (0.0, 0.5, 1.0)
+
+
+def test_obstacles_are_copied_and_moved_to_the_moment_of_the_state(stage: Stage) -> None:
+    position, velocity = np.array([[1.0, 0.0], [2.0, 1.0]]), np.array([[0.0, -1.0], [0.5, 0.0]])
+    seen = {"position": position, "velocity": velocity, "radius": [0.3, 0.2], "growth": 0.1}
+    as_objects = Obstacles(position, velocity, np.array([0.3, 0.2]), growth=0.1)
+    for told in (seen, as_objects):
+        for age in ({}, {"obstacles_age_s": 0.2}):
+            stage.update(obstacles=told, **age)
+            position += 7.0
+            stage.answer()
+            position -= 7.0
+            stage.now += 0.1
+
+            later, sent = age.get("obstacles_age_s", 0.0), stage.requests[-1].obstacles
+            assert sent is not None
+            np.testing.assert_allclose(sent.position, position + later * velocity)
+            np.testing.assert_allclose(sent.radius, np.array([0.3, 0.2]) + 0.1 * later)
+    stage.cycle(obstacles={"position": [], "velocity": [], "radius": []}, obstacles_age_s=0.2)
+    assert stage.requests[-1].obstacles is None
+
+
+@pytest.mark.parametrize(("age_s", "on_route"), [(0.0, [False, True]), (0.5, [True, True])])
+def test_anchors_before_and_behind_a_person_are_on_two_routes(
+    stage: Stage, age_s: float, on_route: list[bool]
+) -> None:
+    """The second anchor passes before a person of whom it was told at once, else behind as well."""
+    walker = {"position": [[1.0, -0.75]], "velocity": [[0.0, 1.0]], "radius": [0.2]}
+
+    plan = stage.cycle(obstacles=walker, obstacles_age_s=age_s)
+
+    assert plan.on_route is not None
+    assert plan.on_route.tolist() == on_route
 
 
 def test_a_cost_map_object_is_copied_too(stage: Stage) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from staged_planner import Stage, made_batch
 
-from anchorflow_client import AnchorBatch, CostMap, PlannerConfig
+from anchorflow_client import AnchorBatch, CostMap, Obstacles, PlannerConfig
 from anchorflow_client.planner.plan import why_unsafe
 from anchorflow_client.planner.request import AnchorInUse
 from anchorflow_client.planner.routes import Commitment, Progress, Routes, landmarks, signatures
@@ -68,14 +68,14 @@ def test_a_path_that_begins_and_ends_elsewhere_finds_its_route() -> None:
     routes = Routes.among(batch_of([1.5, -1.5], scores=[-1, -1]), wall_map())
     for side, anchor in ((1.4, 0), (-1.7, 1)):
         path = bent([side])[0, 4:-3] + 0.1
-        assert routes.route_of(path) == routes.of[anchor]
+        assert routes.route_of(path, 1.0) == routes.of[anchor]
 
 
 def test_a_path_far_from_every_route_has_none() -> None:
     data = np.zeros((1, 80, 80), np.float32)
     data[0, 35:45, 35:45] = data[0, 60:64, 38:42] = 1.0
     routes = Routes.among(batch_of([1.2, -1.5], scores=[-1, -1]), CostMap.build(data, RESOLUTION))
-    assert routes.route_of(bent([3.5])[0]) is None
+    assert routes.route_of(bent([3.5])[0], 1.0) is None
 
 
 @pytest.mark.parametrize(("gain", "chosen"), [(0.15, 1), (0.02, 0)])
@@ -87,6 +87,40 @@ def test_a_robot_stays_on_its_route_until_another_is_better_by_the_margin(
     routes = Routes.among(batch, wall_map())
     assert commitment.choose(batch, routes, 0.0) == 0  # none is in use: the best
     commitment.in_use = AnchorInUse(batch, 2, 0.0)
+
+    assert commitment.choose(batch, routes, 0.2) == chosen
+
+
+WALKER = Obstacles.from_fields({"position": [[0, -2]], "velocity": [[0, 1]], "radius": [0.3]})
+"""Crosses the middle of the way after 2 s; a robot of 2 s is there before it, one of 6 s behind."""
+BEFORE, BEHIND, SLOWER = np.array([2.0, 6.0, 8.0]) / (STEPS - 1)
+
+
+def timed(dt: Sequence[float], scores: Sequence[float]) -> AnchorBatch:
+    """Return anchors straight along x that differ in their time step alone."""
+    return replace(batch_of([0.0] * len(dt), scores=scores), dt=np.array(dt))
+
+
+def test_before_and_behind_what_moves_are_two_routes() -> None:
+    ground = CostMap.build(np.zeros((1, 80, 80)), RESOLUTION)
+    batch = timed([BEFORE, BEHIND, SLOWER], [-1, -1, -1])
+
+    of = Routes.among(batch, ground, WALKER).of
+
+    assert of[0] != of[1] == of[2]
+    assert len(set(Routes.among(batch, ground).of)) == 1
+
+
+@pytest.mark.parametrize(("gain", "chosen"), [(0.15, 1), (0.02, 0)])
+def test_a_robot_that_waits_keeps_waiting_until_going_first_is_better_by_the_margin(
+    gain: float, chosen: int
+) -> None:
+    commitment = Commitment(PlannerConfig(switch_gain=gain))
+    batch = timed([BEFORE, BEHIND], [-9.0, -10.0])
+    ground = CostMap.build(np.zeros((1, 80, 80)), RESOLUTION)
+    commitment.in_use = AnchorInUse(timed([SLOWER], [-10.0]), 0, 0.0)
+
+    routes = Routes.among(batch, ground, WALKER.later(0.2))
 
     assert commitment.choose(batch, routes, 0.2) == chosen
 

@@ -16,6 +16,23 @@ def occupied_at(row: int, column: int) -> list[Any]:
     return grid.tolist()
 
 
+TRACK: dict[str, Any] = {"position": [[1, 0]], "velocity": [[0, 1]], "radius": [0.3]}
+BAD_OBSTACLES: list[tuple[str, Any, list[str]]] = [
+    ("position", None, ["required"]),
+    ("position", [1, 0], ["[M,2]", "[2]"]),
+    ("position", np.zeros((129, 2)).tolist(), ["M from 0 to 128", "[129, 2]"]),
+    ("velocity", None, ["required without a forecast"]),
+    ("velocity", [[NAN, 0]], ["finite", "nan", "obstacles.velocity[0][0]"]),
+    ("velocity", [[None, 0]], ["a number", "null", "obstacles.velocity[0][0]"]),
+    ("velocity", [[0, -101]], ["[-100, 100] m/s", "-101"]),
+    ("velocity", [[0, 1], [1, 0]], ["M = 1 as in obstacles.position", "2"]),
+    ("radius", None, ["required"]),
+    ("radius", [-0.1], ["[0, 100] m", "-0.1"]),
+    ("radius", [[0.1]], ["[M]", "[1, 1]"]),
+    ("forecast_dt", 0.4, ["none without a forecast", "0.4"]),
+    ("growth", -1, ["[0, 100] m/s", "-1"]),
+    ("mass", [80], ["unknown field"]),
+]
 BAD_FIELDS: list[tuple[str, Any, list[str]]] = [
     ("x_curr", [0, 0, 0], ["[6] or [B,6]", "[9] or [B,9]", "[3]"]),
     ("x_curr", [[[0] * 6]], ["[6] or [B,6]", "[1, 1, 6]"]),
@@ -111,6 +128,7 @@ BAD_FIELDS: list[tuple[str, Any, list[str]]] = [
     ("goal_tolerance.position", -1, ["[0, 100] m", "-1"]),
     ("goal_tolerance.position", None, ["required"]),
     ("goal_tolerance", {"position": 1, "heading": 4}, ["heading", "[0, 3.14159] rad", "4"]),
+    *((f"obstacles.{name}", value, words) for name, value, words in BAD_OBSTACLES),
     ("cost_map.data", np.zeros((65, 1, 16, 16)).tolist(), ["B from 1 to 64", "65"]),
     ("cost_map.data", np.full((1, 16, 20), 1.5).tolist(), ["[0, 1]", "1.5"]),
     ("cost_map.data", np.zeros((1, 1, 1, 16, 20)).tolist(), ["deeper"]),
@@ -139,10 +157,12 @@ NOT_JSON: dict[bytes, str] = {
 
 
 def with_value(fields: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
-    """Set the value of a field by its path; a warm start has a trajectory unless that is set."""
+    """Set the value of a field by its path; a warm start and obstacles have what they need."""
     *parents, name = path.split(".")
     if parents == ["warm_start"]:
         fields["warm_start"] = {"trajectory": [[0, 0], [1, 1]]}
+    if parents == ["obstacles"]:
+        fields["obstacles"] = dict(TRACK)
     parent = fields
     for key in parents:
         parent = parent.setdefault(key, {})

@@ -32,6 +32,7 @@ from anchorflow_client.contract.fields import (
     WarmStart as WarmStart,
 )
 from anchorflow_client.contract.inputs import EncodedImage as EncodedImage
+from anchorflow_client.contract.obstacles import Obstacles as Obstacles
 from anchorflow_client.contract.request import AnchorRequest as AnchorRequest
 from anchorflow_client.contract.resolve import (
     ResolvedRequest as ResolvedRequest,

@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.card import ModelId
-from anchorflow_client.contract.checks import Interval, as_array, frozen, number, read_only
+from anchorflow_client.contract.checks import (
+    Interval,
+    as_array,
+    frozen,
+    integer,
+    number,
+    read_only,
+)
 from anchorflow_client.errors import InvalidRequest
 
 ARRAY_DTYPES: dict[str, type[np.generic]] = {
@@ -23,12 +30,14 @@ ARRAY_DTYPES: dict[str, type[np.generic]] = {
     "scores": np.float32,
     "clearance": np.float32,
     "safe": np.bool_,
+    "routes": np.int64,
 }
 """The arrays that a planner may give; only `trajectories` is always present."""
 MOTIONS = ("trajectories", "velocities", "accelerations")
 """Those of shape [N,T,D]; the others are [N]."""
 WITHIN = Interval(0.0, math.inf, "m", open_high=True)
 """Allowed distances of an anchor's end from a route."""
+COUNT = Interval(1, 2**31)
 MIN_MOVE = 1.0
 """m; an anchor that moves less than this from its start counts as standing."""
 NEAR = 128.0
@@ -131,6 +140,14 @@ class AnchorBatch:
         return self._given("safe")
 
     @property
+    def routes(self) -> NDArray[np.int64] | None:
+        """[N], the way that each anchor takes, or None if the planner gives none.
+
+        Anchors with the same number pass every obstacle, still or moving, on the same side.
+        """
+        return self.arrays.get("routes")
+
+    @property
     def durations(self) -> NDArray[np.float64]:
         """[N] s from the first to the last time step, dt (T - 1); always an array."""
         *anchors, steps, _ = self.trajectories.shape
@@ -154,6 +171,33 @@ class AnchorBatch:
         Without `safe` all are eligible, and without `scores` the first is the best.
         """
         return _best(self.arrays, self.trajectories.shape[:-2])
+
+    def top_k(self, k: int, *, per_route: bool = False) -> NDArray[np.intp]:
+        """Return the indices [k] of the best anchors by score, all safe ones before others; [B,k].
+
+        There are fewer than k if N is less. As in `best`, all count as safe without `safe`, and
+        without `scores` they keep their order.
+
+        Args:
+            k: at least 1.
+            per_route: first the best anchor of each route, then their further ones; among the safe
+                and then among the others.
+
+        Raises:
+            InvalidRequest: names `k` if it is no whole number from 1.
+            LookupError: per_route, and the planner gives no `routes`.
+        """
+        k = integer(k, "k", COUNT)
+        shape = self.trajectories.shape[:-2]
+        scores = self.arrays.get("scores", np.zeros(shape))
+        unsafe = ~self.arrays.get("safe", np.ones(shape, np.bool_))
+        order = np.lexsort((-scores, unsafe))
+        if per_route:
+            routes = np.take_along_axis(self._given("routes"), order, axis=-1)
+            later = np.apply_along_axis(_seen_before, -1, routes)
+            unsafe = np.take_along_axis(unsafe, order, axis=-1)
+            order = np.take_along_axis(order, np.lexsort((later, unsafe)), axis=-1)
+        return order[..., :k]
 
     def best_along(self, route: ArrayLike, *, within: float = 2.0) -> int:
         """Return the index of the best anchor that follows a route, for a caller who knows one.
@@ -206,6 +250,13 @@ def _best(arrays: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> NDArray
     safe = arrays.get("safe", np.ones(shape, np.bool_))
     eligible = safe | ~safe.any(axis=-1, keepdims=True)
     return np.where(eligible, scores, -np.inf).argmax(axis=-1)
+
+
+def _seen_before(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return element by element [N] whether an earlier one is equal."""
+    before = np.ones(len(values), np.bool_)
+    before[np.unique(values, return_index=True)[1]] = False
+    return before
 
 
 def _time_step(dt: Any) -> float | NDArray[np.float64]:

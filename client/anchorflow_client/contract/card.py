@@ -60,7 +60,7 @@ class AnswerSpec:
     components: tuple[str, ...] = field(metadata={"min_length": 2})
     """Names of the D components of a pose, such as x, y, heading."""
     arrays: tuple[str, ...] = ()
-    """Which of velocities, accelerations, scores, clearance and safe every answer holds."""
+    """Which of velocities, accelerations, scores, clearance, safe and routes every answer holds."""
     extras: tuple[TensorSpec, ...] = field(default=(), metadata={"parts": TensorSpec})
     """Further outputs of the graphs, sent if a request's `outputs` names them."""
 

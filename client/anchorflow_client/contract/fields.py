@@ -7,7 +7,6 @@ that uses it.
 """
 
 # No `from __future__ import annotations`: the rows are read out of the annotations below.
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -17,6 +16,30 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.checks import Interval, numbers, read_only, wrong_shape
+from anchorflow_client.contract.obstacles import OBSTACLES, Obstacles
+from anchorflow_client.contract.ranges import (
+    A_MAX,
+    ACCELERATION,
+    BUDGET,
+    CERTIFIED_MARGIN,
+    CHANNEL_WEIGHT,
+    COORDINATE,
+    COST_PENALTY,
+    GOAL_DISTANCE,
+    GOAL_TURN,
+    GUIDANCE,
+    HORIZON,
+    INSIDE_UNIT,
+    NUM_SAMPLES,
+    RESOLUTION,
+    ROBOT_RADIUS,
+    SEED,
+    STYLE_WEIGHT,
+    UNIT,
+    V_MAX,
+    VELOCITY,
+    WARM_STATE,
+)
 from anchorflow_client.contract.rows import (
     MAX_SCHEDULE_STEPS,
     MIN_STEP,
@@ -69,30 +92,6 @@ MAX_PIXELS = 16 * 2**20
 """Pixels of one picture; a file of a few kB may unpack to gigabytes."""
 MAX_REQUEST_PIXELS = 2 * MAX_PIXELS
 """Pixels of all pictures of one request, such as the two of V2X-VLM."""
-
-UNIT = Interval(0.0, 1.0)
-INSIDE_UNIT = Interval(0.0, 1.0, open_low=True, open_high=True)
-COORDINATE = Interval(-1e7, 1e7, "m")
-RESOLUTION = Interval(1e-6, 100.0, "m/cell")
-ROBOT_RADIUS = Interval(0.0, 5.0, "m")
-V_MAX = Interval(0.0, 100.0, "m/s", open_low=True)
-A_MAX = Interval(0.0, 1000.0, "m/s^2", open_low=True)
-VELOCITY = Interval(-V_MAX.high, V_MAX.high, V_MAX.unit)
-ACCELERATION = Interval(-100.0, 100.0, A_MAX.unit)
-STATE = (COORDINATE, VELOCITY, ACCELERATION)
-"""The range of each D-vector of `x_curr` and `x_goal`; headings are in rad."""
-HORIZON = Interval(0.0, 600.0, "s", open_low=True)
-GUIDANCE = Interval(0.0, 100.0)
-CHANNEL_WEIGHT = Interval(0.0, 100.0)
-COST_PENALTY = Interval(0.0, 100.0)
-GOAL_DISTANCE = Interval(0.0, 100.0, "m")
-GOAL_TURN = Interval(0.0, math.pi, "rad")
-CERTIFIED_MARGIN = Interval(0.0, 5.0, "m")
-BUDGET = Interval(0.0, 1e7, "ms", open_low=True)
-NUM_SAMPLES = Interval(1, 512)
-STYLE_WEIGHT = Interval(0.0, 1e6)
-WARM_STATE = Interval(-1e7, 1e7)
-SEED = Interval(0, 2**63 - 1)
 
 COST_MAP = Group(
     "What the robot knows of the space around it; rows grow with y, columns with x.",
@@ -361,6 +360,10 @@ class PlanOptions(TypedDict, total=False):
         GoalTolerance | Mapping[str, Any] | None,
         GOAL_TOLERANCE,
     ]
+    obstacles: Annotated[
+        Obstacles | Mapping[str, Any] | None,
+        OBSTACLES,
+    ]
     model: Annotated[str | None, Text("Name of a model; by default the service's first.")]
     seed: Annotated[
         int | None,
@@ -409,5 +412,5 @@ LIMITS: dict[str, Interval] = {
     "horizon_s": HORIZON,
 }
 """The limits that a request may state, within the ranges of the card."""
-MAP_OPTIONS = (*LIMITS, "cost_penalty", "clear_start", "goal_tolerance")
+MAP_OPTIONS = (*LIMITS, "cost_penalty", "clear_start", "goal_tolerance", "obstacles")
 """The options of a request on a map alone, beside those that `AnchorRequest.build` checks."""

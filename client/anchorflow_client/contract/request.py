@@ -29,9 +29,7 @@ from anchorflow_client.contract.fields import (
     OCCUPIED,
     OPTIONS,
     REQUEST,
-    STATE,
     STATE_FIELDS,
-    STYLE_WEIGHT,
     STYLES,
     GoalTolerance,
     RefineChoice,
@@ -39,6 +37,8 @@ from anchorflow_client.contract.fields import (
     WarmStart,
 )
 from anchorflow_client.contract.inputs import Inputs, read_inputs
+from anchorflow_client.contract.obstacles import Obstacles
+from anchorflow_client.contract.ranges import STATE, STYLE_WEIGHT
 from anchorflow_client.contract.rows import with_rows
 from anchorflow_client.errors import InvalidRequest
 
@@ -79,6 +79,7 @@ class AnchorRequest:
     cost_penalty: float | None = None
     clear_start: bool | None = None
     goal_tolerance: GoalTolerance | None = None
+    obstacles: Obstacles | None = None
     model: str | None = None
     seed: int | None = None
     sampler: SamplerChoice | None = None
@@ -275,11 +276,18 @@ def _nearest_free(cost_map: CostMap, occupancy: NDArray[np.float32], x: float, y
     return "the nearest free one is at ({:g}, {:g}) m".format(*centres[nearest].round(6))
 
 
+def _obstacles(value: Any) -> Obstacles | None:
+    """Read what moves; None if nothing does."""
+    obstacles = Obstacles.from_fields(value)
+    return obstacles if len(obstacles.position) else None
+
+
 _READERS: dict[str, Callable[[Any], Any]] = {
     **{name: partial(row.read, path=name) for name, row in OPTIONS.items()},
     "sampler": SamplerChoice.from_fields,
     "refine": RefineChoice.from_fields,
     "goal_tolerance": GoalTolerance.from_fields,
+    "obstacles": _obstacles,
 }
 
 

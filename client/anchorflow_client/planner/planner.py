@@ -43,6 +43,7 @@ from anchorflow_client.planner.request import (
     Array,
     LimitsSource,
     Observation,
+    at_the_state,
     build_request,
     read_own_states,
     requested_margin,
@@ -136,6 +137,7 @@ class Planner:
         resolution: float | None = None,
         origin: ArrayLike | None = None,
         channel_weights: ArrayLike | None = None,
+        obstacles_age_s: float = 0.0,
         **options: Unpack[PlanOptions],
     ) -> Plan:
         """Pass the loop's current observation and return the newest plan, without waiting.
@@ -149,6 +151,8 @@ class Planner:
             x_curr: [3D] position, velocity, acceleration in m, m/s, m/s^2.
             x_goal: [2D] position, velocity; may lie beyond the map.
             resolution, origin, channel_weights: as in `AnchorClient.plan`.
+            obstacles_age_s: time since `obstacles` were observed, or until the robot is in the
+                state `x_curr`; they are moved on by it, as anchors begin at that state.
             **options:
 
         Errors in the observation or of a request are not raised: they are the plan's `last_error`.
@@ -164,6 +168,8 @@ class Planner:
             if self._is_due(now):
                 if (seed := options.get("seed")) is not None:
                     options["seed"] = self._seed(seed)
+                if (obstacles := options.get("obstacles")) is not None:
+                    options["obstacles"] = at_the_state(obstacles, obstacles_age_s)
                 view = map_fields(cost_map, resolution, origin, channel_weights)
                 seen = Observation.copied(now, view, x_curr=start, x_goal=goal, options=options)
                 self._ask(seen)
@@ -267,7 +273,7 @@ class Planner:
             start_m=math.inf if radius is None else start_clearance(cost_map, place, radius),
             share_m=SHARE_OF_CELL * cost_map.resolution,
         )
-        routes = Routes.among(batch, cost_map)
+        routes = Routes.among(batch, cost_map, request.obstacles)
         return _Answer(request_id, seen.seen_at, place, batch, routes, limits.v_max, reason)
 
     def _seed(self, seed: int) -> int:

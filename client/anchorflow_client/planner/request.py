@@ -17,6 +17,7 @@ from anchorflow_client.contract import (
     CostMapSpec,
     GoalTolerance,
     ModelCard,
+    Obstacles,
     RefineChoice,
     SamplerChoice,
     WarmStart,
@@ -37,6 +38,7 @@ from anchorflow_client.contract.fields import (
     STATE_FIELDS,
     V_MAX,
 )
+from anchorflow_client.contract.obstacles import LATER
 from anchorflow_client.contract.request import read_states
 from anchorflow_client.errors import AnchorFlowError, InvalidRequest
 from anchorflow_client.planner.config import PlannerConfig
@@ -105,10 +107,14 @@ class AnchorInUse:
 
     def left(self, now: float) -> Array | None:
         """Return [T,3D], the rest of it at `now` with its own duration; None if it has ended."""
-        if now - self.seen_at >= self._duration_s:
+        if self.left_s(now) <= 0.0:
             return None
         dt = self._duration_s / self._strides
         return self._rest(now, dt - (now - self.seen_at) / self._strides)
+
+    def left_s(self, now: float) -> float:
+        """Return the seconds from `now` to its end, below 0 after it."""
+        return self._duration_s - (now - self.seen_at)
 
     def warm_start(
         self, now: float, tau: float, *, horizon_s: float | None = None
@@ -118,7 +124,7 @@ class AnchorInUse:
         It lasts as long as the next anchors will: the request's horizon, else the horizon of its
         own batch, else, if each anchor has its own duration, until its own end.
         """
-        left_s = self._duration_s - (now - self.seen_at)
+        left_s = self.left_s(now)
         if left_s <= 0.0:
             return None
         own_s = left_s if np.ndim(self.batch.dt) else self._duration_s
@@ -248,6 +254,17 @@ def build_request(
     return AnchorRequest.build(
         cost_map=cost_map, x_curr=seen.x_curr, x_goal=goal, **added, request_id=request_id
     )
+
+
+def at_the_state(obstacles: Obstacles | Mapping[str, Any], age_s: float) -> Obstacles:
+    """Return a copy of obstacles observed `age_s` before the robot is in the request's state.
+
+    Raises:
+        InvalidRequest: names the field, or `obstacles_age_s` if it is not from 0 to 600.
+    """
+    age_s = number(age_s, "obstacles_age_s", LATER)
+    observed = Obstacles.from_fields(obstacles)
+    return observed.later(age_s) if age_s > 0.0 else observed
 
 
 def requested_margin(seen: Observation, config: PlannerConfig) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import OCCUPIED, AnchorBatch, CostMap
+from anchorflow_client.contract import OCCUPIED, AnchorBatch, CostMap, Obstacles
 from anchorflow_client.planner.config import PlannerConfig
 from anchorflow_client.planner.request import AnchorInUse
 
@@ -25,30 +25,46 @@ class Routes:
 
     points: [M, 2] m, at least one in each obstacle
     paths: [N, T, 2] m; of: [N], the route of each, numbered from 0
-    signatures: [R, M] of the routes
+    signatures: [R, M + L] of the routes
+    times: [T] s; movers: [L, T, 2] m, what moves at those times
     """
 
     points: Array
     paths: Array
     of: NDArray[np.intp]
     signatures: NDArray[np.int8]
+    times: Array
+    movers: Array
 
     @classmethod
-    def among(cls, batch: AnchorBatch, cost_map: CostMap) -> Routes:
+    def among(
+        cls, batch: AnchorBatch, cost_map: CostMap, obstacles: Obstacles | None = None
+    ) -> Routes:
         """Group the anchors of one scene on the map [C,H,W] of their request."""
         points = landmarks(cost_map)
         paths = batch.trajectories[..., :2].astype(np.float64)
-        found, of = np.unique(signatures(paths, points), axis=0, return_inverse=True)
-        return cls(points, paths, of.reshape(-1), found)
+        times = np.linspace(0.0, batch.durations.max(), paths.shape[1])
+        movers = np.zeros((0, len(times), 2)) if obstacles is None else obstacles.places(times)
+        counts = signatures(paths, points)
+        if len(movers):
+            timed = _at_times(paths, batch.durations, times)
+            counts = np.concatenate([counts, passings(timed, movers)], axis=1)
+        found, of = np.unique(counts, axis=0, return_inverse=True)
+        return cls(points, paths, of.reshape(-1), found, times, movers)
 
-    def route_of(self, path: Array) -> int | None:
+    def route_of(self, path: Array, duration_s: float) -> int | None:
         """Return the route of a path [K, 2] in m, whose ends may differ a little.
 
         It is the route with the path's signature or, if there is none, the route of the nearest
         anchor; None if that is further than FAR away in the mean.
         """
         joined = np.concatenate([self.paths[0, :1], path, self.paths[0, -1:]])
-        same = (self.signatures == signatures(joined[None], self.points)).all(1)
+        counts = signatures(joined[None], self.points)
+        if len(self.movers):
+            timed = _at_times(path[None], np.array([duration_s]), self.times)
+            timed[0, 0], timed[0, -1] = self.paths[0, 0], self.paths[0, -1]
+            counts = np.concatenate([counts, passings(timed, self.movers)], axis=1)
+        same = (self.signatures == counts).all(1)
         if same.any():
             return int(same.argmax())
         length = min(_lengths(path[None])[0, -1], _lengths(self.paths)[:, -1].min())
@@ -88,6 +104,33 @@ def signatures(paths: Array, points: Array) -> NDArray[np.int8]:
     counts = np.zeros((len(paths), len(points)), np.int8)
     np.add.at(counts, (n, m), crossing[n, t, m] * (height > y[m]))
     return counts
+
+
+def passings(paths: Array, movers: Array) -> NDArray[np.int8]:
+    """Return [N, L]: the signature of each path [N, T, 2] as seen from each of [L, T, 2] movers.
+
+    Paths and movers are given at the same times. A path that passes before a mover crosses the ray
+    up from it another number of times than one that passes behind it.
+    """
+    x = paths[:, None, :, 0] - movers[..., 0]
+    left = x <= 0.0
+    n, j, t = np.nonzero(left[..., :-1] != left[..., 1:])
+    x_a, x_b = x[n, j, t], x[n, j, t + 1]
+    y_a, y_b = (paths[n, k, 1] - movers[j, k, 1] for k in (t, t + 1))
+    is_above = y_a - x_a * (y_b - y_a) / (x_b - x_a) > 0.0
+    counts = np.zeros((len(paths), len(movers)), np.int8)
+    np.add.at(counts, (n, j), np.where(left[n, j, t], is_above, -1 * is_above))
+    return counts
+
+
+def _at_times(paths: Array, durations: Array, times: Array) -> Array:
+    """Return [N, T, 2] m, evenly timed paths [N, K, 2] at times [T]; they stand after their end."""
+    strides = paths.shape[1] - 1
+    at = strides * np.minimum(times / durations[:, None], 1.0)
+    low = np.minimum(at.astype(int), strides - 1)
+    n = np.arange(len(paths))[:, None]
+    before, after = paths[n, low], paths[n, low + 1]
+    return before + (at - low)[..., None] * (after - before)
 
 
 def _lengths(paths: Array) -> Array:
@@ -144,8 +187,9 @@ class Commitment:
 
     @staticmethod
     def _route(anchor: AnchorInUse | None, routes: Routes, now: float) -> int | None:
-        left = None if anchor is None else anchor.left(now)
-        return None if left is None else routes.route_of(left[:, :2])
+        if anchor is None or (left := anchor.left(now)) is None:
+            return None
+        return routes.route_of(left[:, :2], anchor.left_s(now))
 
 
 def costs_of(batch: AnchorBatch) -> NDArray[np.floating]:

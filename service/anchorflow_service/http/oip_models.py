@@ -89,6 +89,10 @@ def _choices(card: ModelCard) -> list[TensorSpec]:
     return [
         TensorSpec("warm_start", "float64", ("T", "S")),
         TensorSpec("schedule", "float64", ("K",)),
+        TensorSpec("obstacle_position", "float64", ("M", 2)),
+        TensorSpec("obstacle_velocity", "float64", ("M", 2)),
+        TensorSpec("obstacle_radius", "float64", ("M",)),
+        TensorSpec("obstacle_forecast", "float64", ("M", "K", 2)),
     ]
 
 

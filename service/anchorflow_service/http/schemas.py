@@ -54,7 +54,7 @@ class AnchorAnswerBody(BaseModel):
         "[N,T,D]", "m", "The third of D = 3 is a heading [rad]."
     )
     velocities: Tensor3 | Tensor4 | None = _array(
-        "[N,T,D]", "m/s", "This and the next four if the model's card lists them.", None
+        "[N,T,D]", "m/s", "This and the next five if the model's card lists them.", None
     )
     accelerations: Tensor3 | Tensor4 | None = _array("[N,T,D]", "m/s^2", "", None)
     scores: Vector | Matrix | None = _array("[N]", "", "Higher is better.", None)
@@ -70,6 +70,13 @@ class AnchorAnswerBody(BaseModel):
         "",
         "Whether the path keeps robot_radius and certified_margin from every obstacle, "
         "certified_margin from the edge of the map, and v_max and a_max.",
+        None,
+    )
+    routes: list[int] | list[list[int]] | None = _array(
+        "[N]",
+        "",
+        "The way that each anchor takes: those with the same number pass every obstacle, still or "
+        "moving, on the same side.",
         None,
     )
     dt: float | Vector | Matrix = _array(

@@ -85,7 +85,7 @@ def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Bu
     np.testing.assert_allclose(own[:, [0, -1], 2], [[1.5, -9.0]] * 2, atol=1e-4)
 
 
-def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
+def test_far_from_zero_a_warm_start_and_what_moves_are_displaced_as_the_state_is(
     tiny: Bundle, small_request: Build
 ) -> None:
     far = np.array([5000.0, -3000.0])
@@ -96,6 +96,13 @@ def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
         x_curr=[*start, 0.5, 0.0, 0.0, 0.0],
         x_goal=[*goal, 0.0, 0.0],
         warm_start={"trajectory": [start, goal], "tau": 0.7, "dt": 0.4},
+        obstacles={
+            "position": [start],
+            "velocity": [[1.0, 0.5]],
+            "radius": [0.3],
+            "forecast": [[goal, goal + 0.5]],
+            "forecast_dt": 0.2,
+        },
     )
 
     (scene,) = scenes(there, tiny)
@@ -104,6 +111,28 @@ def test_far_from_zero_a_warm_start_moves_along_and_keeps_its_time_step(
     assert warm_start is not None
     np.testing.assert_allclose(warm_start.trajectory, [[-3.0, 0.1], [3.0, 0.2]], atol=1e-8)
     assert (warm_start.tau, warm_start.dt) == (0.7, 0.4)
+    obstacles = scene.request.obstacles
+    assert obstacles is not None
+    assert obstacles.forecast is not None
+    np.testing.assert_allclose(obstacles.position, [[-3.0, 0.1]], atol=1e-8)
+    np.testing.assert_allclose(obstacles.forecast, [[[3.0, 0.2], [3.5, 0.7]]], atol=1e-8)
+    np.testing.assert_array_equal(obstacles.velocity, [[1.0, 0.5]])
+
+
+def test_all_scenes_have_the_same_discs_and_none_without_obstacles(
+    tiny: Bundle, small_request: Build
+) -> None:
+    start = small_request().x_curr[0]
+    track = {"position": [[1.0, 0.5]], "velocity": [[0.0, -1.0]], "radius": [0.3], "growth": 0.1}
+
+    first, second = scenes(small_request(x_curr=[start, start], obstacles=track), tiny)
+    (free,) = scenes(small_request(), tiny)
+
+    assert first.scene.movers is second.scene.movers
+    assert first.scene.movers is not None
+    np.testing.assert_array_equal(first.scene.movers.places, [[[1.0, 0.5], [1.0, -0.5]]])
+    assert (first.scene.movers.radius.tolist(), first.scene.movers.growth) == ([0.3], 0.1)
+    assert free.scene.movers is None
 
 
 def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build) -> None:

@@ -48,6 +48,13 @@ def rich(fields: dict[str, Any]) -> dict[str, Any]:
         "w_style": [0.2, 0.3, 0.5],
         "sampler": {"schedule": [0.0, 0.5, 1.0]},
         "warm_start": {"trajectory": [[-3.0, 0.5], [0.0, 0.0], [3.0, 0.5]]},
+        "obstacles": {
+            "position": [[1.0, 0.0]],
+            "velocity": [[0.0, -0.5]],
+            "radius": [0.25],
+            "forecast": [[[1.0, -0.5], [1.5, -1.0]]],
+            "forecast_dt": 0.5,
+        },
     }
 
 
@@ -61,6 +68,7 @@ def test_every_array_may_be_bytes(rich: dict[str, Any], codec: type[JsonCodec]) 
         ("cost_map", "origin"),
         ("sampler", "schedule"),
         ("warm_start", "trajectory"),
+        *(("obstacles", name) for name in ("position", "velocity", "radius", "forecast")),
     ):
         rich[group][name] = as_bytes(rich[group][name])
 

@@ -77,6 +77,10 @@ def test_the_metadata_is_what_the_card_says(service: Any, engine: Any) -> None:
         "x_curr": ("FP32", [-1, 6]),
         "warm_start": ("FP64", [-1, -1]),
         "schedule": ("FP64", [-1]),
+        "obstacle_position": ("FP64", [-1, 2]),
+        "obstacle_velocity": ("FP64", [-1, 2]),
+        "obstacle_radius": ("FP64", [-1]),
+        "obstacle_forecast": ("FP64", [-1, -1, 2]),
     }
     outputs = {each["name"]: each["shape"] for each in metadata["outputs"]}
     assert list(outputs) == list(engine.card.answer.names)

@@ -263,6 +263,7 @@ def test_what_is_not_the_cards_is_refused_by_name(
         {"sampler": {"method": "rk4"}},
         {"refine": {"smooth": True}},
         {"warm_start": {"trajectory": [[0, 0], [1, 1]]}},
+        {"obstacles": {"position": [[1, 0]], "velocity": [[0, 1]], "radius": [0.3]}},
     ],
     ids=lambda fields: next(iter(fields)),
 )

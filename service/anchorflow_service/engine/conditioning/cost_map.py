@@ -12,6 +12,7 @@ from anchorflow_client.contract import (
     AnchorRequest,
     CostMap,
     LimitsSpec,
+    Obstacles,
     ResolvedRequest,
 )
 from anchorflow_client.contract.batch import NEAR
@@ -19,6 +20,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
@@ -58,7 +60,8 @@ class CostMapConditioning:
         """
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
-        scenes = [self._scene(near, index) for index in range(request.num_scenes)]
+        movers = moving_discs(near.obstacles)
+        scenes = [self._scene(near, index, movers) for index in range(request.num_scenes)]
         if (tolerance := request.goal_tolerance) is not None:
             for index, scene in enumerate(scenes):
                 moved = _within_tolerance(scene, tolerance.position)
@@ -72,7 +75,7 @@ class CostMapConditioning:
                 scenes[index] = moved
         return [MapScene(near, scene, reference) for scene in scenes]
 
-    def _scene(self, request: ResolvedRequest, index: int) -> Scene:
+    def _scene(self, request: ResolvedRequest, index: int, movers: MovingDiscs | None) -> Scene:
         """Return a scene of a request."""
         cost_map, limits = request.cost_map, _limits(request)
         cells, resolution = finer_cells(cost_map.data[index], cost_map.resolution)
@@ -99,6 +102,7 @@ class CostMapConditioning:
             certified_margin=request.certified_margin,
             cost_penalty=request.cost_penalty,
             channel_weights=cost_map.channel_weights,
+            movers=movers,
         )
 
     def probe(self) -> AnchorRequest:
@@ -146,6 +150,20 @@ class MapScene:
         if not self.reference.any():
             return arrays
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
+
+
+def moving_discs(obstacles: Obstacles | None) -> MovingDiscs | None:
+    """Return the obstacles of a request as discs of their own radius; None if there are none."""
+    if obstacles is None:
+        return None
+    return MovingDiscs.of(
+        obstacles.position,
+        obstacles.velocity,
+        obstacles.radius,
+        forecast=obstacles.forecast,
+        forecast_dt=obstacles.forecast_dt,
+        growth=obstacles.growth,
+    )
 
 
 def _basis_of(manifest: Manifest) -> SplineBasis:
@@ -207,7 +225,7 @@ def _decimals(numbers: NDArray[np.float64]) -> int:
 
 def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> ResolvedRequest:
     """Return the request in a frame that begins at the reference."""
-    scenes, warm = request.on_map, request.warm_start
+    scenes, warm, obstacles = request.on_map, request.warm_start, request.obstacles
     cost_map = replace(scenes.cost_map, origin=_near(scenes.cost_map.origin, reference))
     moved = replace(
         scenes,
@@ -217,7 +235,14 @@ def _moved(request: ResolvedRequest, reference: NDArray[np.float64]) -> Resolved
     )
     if warm is not None:
         warm = replace(warm, trajectory=_near(warm.trajectory, reference))
-    return replace(request, map_scenes=moved, warm_start=warm)
+    if obstacles is not None:
+        forecast = obstacles.forecast
+        obstacles = replace(
+            obstacles,
+            position=_near(obstacles.position, reference),
+            forecast=None if forecast is None else _near(forecast, reference),
+        )
+    return replace(request, map_scenes=moved, warm_start=warm, obstacles=obstacles)
 
 
 def _near(vectors: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ import { byId, clamp, make, plain, showFill } from "./dom.js";
 /** Fields that have controls of their own, and fields that are for programs. */
 const NOT_IN_FORM = new Set([
   "cost_map", "x_curr", "x_goal", "w_style", "inputs", "outputs", "model", "warm_start",
-  "budget_ms", "robot_id", "request_id",
+  "obstacles", "budget_ms", "robot_id", "request_id",
 ]);
 /**
  * How the page shows some fields: the block of the form, the label, the end of the slider if there

@@ -9,7 +9,7 @@ const NOT_LATIN_1 = /[^ -\xff]/u;
 /** Bytes to which the header of the binary form is padded. */
 const ALIGNMENT = 64;
 const HEADER_LENGTH = "Inference-Header-Content-Length";
-const ARRAYS = { FP32: Float32Array, FP64: Float64Array, BOOL: Uint8Array };
+const ARRAYS = { FP32: Float32Array, FP64: Float64Array, BOOL: Uint8Array, INT64: BigInt64Array };
 
 /** An error response of the contract. */
 export class Refusal extends Error {
@@ -145,7 +145,8 @@ async function unpack(response) {
   }
   let at = length;
   for (const { name, datatype, shape, parameters: { binary_data_size: size } } of outputs) {
-    answer[name] = { shape, values: new ARRAYS[datatype](buffer.slice(at, at + size)) };
+    const values = new ARRAYS[datatype](buffer.slice(at, at + size));
+    answer[name] = { shape, values: datatype === "INT64" ? Float64Array.from(values, Number) : values };
     at += size;
   }
   return answer;
