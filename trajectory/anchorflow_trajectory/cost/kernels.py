@@ -38,12 +38,14 @@ class Gains(NamedTuple):
     smooth: np.floating
     dear: np.floating
     near: np.floating
+    per_s: np.floating
     collision: np.floating
     speed: np.floating
     acceleration: np.floating
     comfort: np.floating
     distance: np.floating
     widening: np.floating
+    fading: np.floating
     limit_share: np.floating
     margin: np.floating
     v_max: np.floating
@@ -207,11 +209,15 @@ def _charge_movers(
     gains, discs, real = problem.gains, problem.movers, samples.dtype.type
     legs, far = discs.places.shape[1] - 1, real(np.inf)
     time, comfort = np.empty(LANES, samples.dtype), np.empty(LANES, samples.dtype)
+    scale = np.empty((2, LANES), samples.dtype)
     x, y = samples[0, 0], samples[0, 1]
     left, right, low, high, first, last = far, -far, far, -far, far, real(0.0)
     for m in range(lanes):
         time[m] = share * duration[m]
         comfort[m] = real(1.0) / (gains.distance + gains.widening * time[m])
+        scale[0, m] = gains.per_s * duration[m]
+        scale[1, m] = scale[0, m] * gains.near * (real(1.0) + style[0, m])
+        scale[1, m] /= real(1.0) + gains.fading * time[m]
         left, right = min(left, x[m]), max(right, x[m])
         low, high = min(low, y[m]), max(high, y[m])
         first, last = min(first, time[m]), max(last, time[m])
@@ -239,14 +245,14 @@ def _charge_movers(
                 continue
             line = x_0, y_0, speed_x, speed_y, discs.radius[j], discs.growth
             _charge_mover(
-                gains, style[0], line, (from_s, until_s), time, comfort, x, y, lanes, hinges, pull
+                gains, scale, line, (from_s, until_s), time, comfort, x, y, lanes, hinges, pull
             )
 
 
 @compiled
 def _charge_mover(
     gains: Gains,
-    safety: FloatArray,
+    scale: FloatArray,
     line: tuple[float, float, float, float, float, float],
     span: tuple[float, float],
     time: FloatArray,
@@ -260,6 +266,7 @@ def _charge_mover(
     """Add the cost of nearness to a disc on a line: x, y at time 0, speeds, radius and growth.
 
     span: times from one, up to another, in which it is there
+    scale: [2, LANES], factors of collision and of nearness
     time, comfort: [LANES], of the samples, and one over the comfortable distance then
     """
     x_0, y_0, speed_x, speed_y, radius, growth = line
@@ -276,14 +283,16 @@ def _charge_mover(
         hard = there * max(gains.margin - gap, zero)
         deep = min(hard, deepest)
         lack = there * max(one - gap * comfort[m], zero)
-        near = gains.near * (one + safety[m])
-        cost[m] += gains.collision * deep * (hard + hard - deep) + near * lack * lack
-        rate = -two * (gains.collision * deep + near * comfort[m] * lack) / apart
+        touch, near = scale[0, m] * gains.collision, scale[1, m]
+        charge = touch * deep * (hard + hard - deep) + near * lack * lack
+        cost[m] += charge
+        rate = -two * (touch * deep + near * comfort[m] * lack) / apart
         pull_x[m] += rate * off_x
         pull_y[m] += rate * off_y
         closing = off_x * speed_x + off_y * speed_y + growth * apart
         widened = two * near * lack * (lack - one) * gains.widening * comfort[m]
-        later[m] += (rate * closing + widened) * time[m]
+        faded = near * lack * lack * gains.fading / (one + gains.fading * time[m])
+        later[m] += (rate * closing + widened + faded) * time[m] - charge
 
 
 @compiled
