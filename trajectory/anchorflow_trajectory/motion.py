@@ -12,6 +12,7 @@ from anchorflow_trajectory.compiled import compiled
 
 TURN = 4.0 / 3.0  # m in which a robot without an acceleration limit reaches its speed smoothly
 LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
+FAST, GENTLE, SPEEDS = 0.95, 0.65, 20  # shares of v_max and of a_max in a hurry, and speeds tried
 CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
 
 
@@ -37,13 +38,27 @@ class MotionLimits:
             return length / self.v_max + self.v_max / self.a_max
         return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
 
-    def most_way(self, duration: float, speed: float) -> float:
-        """Return about how many m can be covered smoothly, from a speed to rest."""
-        cruise = CRUISE * self.v_max
-        ramp = 0.5 * np.pi * cruise / self.a_max
-        if duration >= 2.0 * ramp:
-            return cruise * (duration - ramp) + 0.5 * ramp * min(speed, cruise)
-        return 0.25 * duration**2 * self.a_max / (0.5 * np.pi) + 0.4 * speed * duration
+    def most_way(self, duration: float, begin: float, end: float = 0.0) -> float:
+        """Return about how many m can be covered smoothly in `duration` s, between two speeds."""
+        quicker, slower = GENTLE * self.a_max, GENTLE * self.a_max
+        top = (duration + begin / quicker + end / slower) / (1.0 / quicker + 1.0 / slower)
+        top = max(min(top, FAST * self.v_max), end)
+        rise, fall = (top - begin) / quicker, (top - end) / slower
+        way = 0.5 * (top + begin) * rise + 0.5 * (top + end) * fall
+        return way + top * max(duration - rise - fall, 0.0)
+
+    def speed_at(self, way: float, duration: float, begin: float) -> float:
+        """Return the speed after `duration` s [m/s] of who will come to rest after `way` m.
+
+        It is 0 if that can be reached in time, and no more than can be reached.
+
+        begin: m/s
+        """
+        least = max(begin - GENTLE * self.a_max * duration, 0.0)
+        for end in np.linspace(least, FAST * self.v_max, SPEEDS).tolist():
+            if self.most_way(duration, begin, end) + end**2 / (2.0 * GENTLE * self.a_max) >= way:
+                return end
+        return FAST * self.v_max
 
     def durations(self, states: FloatArray) -> NDArray[np.float64]:
         """Return the durations [N] s of states [N, T, 3D + 1]: the horizon, or their own."""

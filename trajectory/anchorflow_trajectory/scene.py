@@ -212,24 +212,40 @@ class Scene:
         """
         if self.movers is None:
             return self
-        goal, start = self.x_goal[:2], self.x_curr[:2]
+        start, goal, speed = self.x_curr[:2], self.x_goal[:2], 0.0
         horizon, dim = self.motion.horizon_s, len(self.x_goal) // 2
         velocity, about, within = self.x_curr[dim : dim + 2], start, np.inf
+        goal_speed = self.x_goal[dim : dim + 2]
         if horizon is None:
             usual = nominal_duration(self._way, self.motion)
             times = [usual, *(usual + wait for wait in WAITS)]
         else:
-            reach = self.motion.most_way(horizon, float(np.linalg.norm(velocity)))
-            if reach < self._way and self.routes:
-                goal = place_along(self.routes[0].points, reach)
+            begin, times = float(np.linalg.norm(velocity)), [horizon]
             about, within = start + STOPPING * horizon * velocity, self.motion.most_way(horizon, 0.0)
-            times = [horizon]
-        goal = place_to_end(goal, start, self.cost_fields, times, about=about, within=within)
-        if goal is self.x_goal[:2] or np.array_equal(goal, self.x_goal[:2]):
+            asked = float(np.linalg.norm(goal_speed))
+            if self.motion.most_way(horizon, begin, asked) < self._way:
+                beyond = asked**2 / self.motion.a_max
+                speed = self.motion.speed_at(self._way + beyond, horizon, begin)
+            if speed > 0.0 and self.routes:
+                reach = self.motion.most_way(horizon, begin, speed)
+                goal, ahead = place_along(self.routes[0].points, reach)
+                goal_speed = speed * ahead
+        place = place_to_end(goal, start, self.cost_fields, times, about=about, within=within)
+        if place is not goal:
+            goal_speed = np.zeros(2)
+        elif speed == 0.0:
             return self
-        rest = self.x_goal[2:].copy()
-        rest[dim - 2 : dim] = 0.0
-        return replace(self, x_goal=np.concatenate([goal, rest]))
+        x_goal = self.x_goal.copy()
+        x_goal[:2], x_goal[dim : dim + 2] = place, goal_speed
+        return replace(self, x_goal=x_goal)
+
+    def nearer(self, share: float) -> Scene:
+        """Return the scene with a goal, at rest, at a share of the cheapest route."""
+        dim, x_goal = len(self.x_goal) // 2, self.x_goal.copy()
+        route = self.routes[0] if self.routes else self._straight
+        x_goal[:2] = place_along(route.points, share * route.length)[0]
+        x_goal[dim : dim + 2] = 0.0
+        return replace(self, x_goal=x_goal).among_movers()
 
     @property
     def until_s(self) -> float:

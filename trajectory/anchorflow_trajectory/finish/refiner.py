@@ -37,9 +37,14 @@ HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
 DODGE_STEPS = 24  # of other ways past what moves, where no anchor is safe
+YIELDS = (0.6, 0.25, 0.0)  # shares of the route at whose ends anchors wait, if none gets farther
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
+
+
+States = tuple[FloatArray, FloatArray, FloatArray]
+"""Positions, velocities and accelerations, each [N, T, D]."""
 
 
 class Refinement(Protocol):
@@ -127,22 +132,35 @@ class Refiner:
             splines, _ = self._corrected(splines, safe, certified, barrier)
         is_finished = spec.project or spec.smooth or spec.barrier
         if is_finished:
-            found = cost.basis.states(splines)
+            refined = self._measured(splines, cost, spec)
         else:
             found = self._as_sampled(states, splines.duration)
+            refined = self._measured(splines, cost, spec, found)
+            is_one = is_one_motion(found, splines.duration, scene.ends, scene.motion)
+            refined = replace(refined, safe=refined.safe & is_one)
+        if spec.project and scene.movers is not None and not refined.safe.any():
+            return self._yielding(spec, len(states)) or refined
+        return refined
+
+    def _measured(
+        self,
+        splines: Splines,
+        cost: TrajectoryCost,
+        spec: Refinement,
+        states: States | None = None,
+    ) -> Refined:
+        """Return anchors with their scores and verdicts; states: in place of the splines' own."""
+        scene = self.scene
+        found = cost.basis.states(splines) if states is None else states
         position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in found)
         verdict = verify(
             (position, velocity, acceleration),
-            field,
+            scene.cost_fields.clearance,
             scene.motion,
             certified_margin=spec.certified_margin,
             movers=scene.cost_fields.movers,
             duration=splines.duration,
         )
-        safe = verdict.safe
-        if not is_finished:
-            sampled = position, velocity, acceleration
-            safe &= is_one_motion(sampled, splines.duration, scene.ends, scene.motion)
         return Refined(
             position,
             velocity,
@@ -150,8 +168,25 @@ class Refiner:
             splines.duration,
             -cost.value(splines),
             verdict.clearance,
-            safe,
+            verdict.safe,
         )
+
+    def _yielding(self, spec: Refinement, count: int) -> Refined | None:
+        """Return anchors that end short of the goal, as far on as one is safe, if any is."""
+        for share in YIELDS:
+            scene = self.scene.nearer(share)
+            refiner, others = replace(self, scene=scene), scene.ways.others
+            if others is None:
+                return None
+            splines, cost = others[np.arange(count) % len(others)], refiner.cost(spec)
+            certified = spec.certified_margin
+            longer = OptimisationPass(DODGE_STEPS, RESTART_RATE, slowed_after=True)
+            splines, safe = longer.run(
+                cost, splines, scene.ends, certified_margin=certified, spread=self.spread
+            )
+            if safe.any():
+                return refiner._measured(refiner._bisected(splines, safe, cost, certified), cost, spec)
+        return None
 
     def cost(self, spec: Refinement) -> TrajectoryCost:
         """Return the cost that the projection descends and that scores and guidance use."""
@@ -166,9 +201,10 @@ class Refiner:
         return scene.basis.fit(states[..., :-1], scene.ends, scene.motion.durations(states))
 
     @staticmethod
-    def _as_sampled(states: FloatArray, duration: FloatArray) -> list[FloatArray]:
-        fields = np.split(states[..., :-1], 3, axis=-1)
-        return [part / duration[:, None, None] ** order for order, part in enumerate(fields)]
+    def _as_sampled(states: FloatArray, duration: FloatArray) -> States:
+        position, velocity, acceleration = np.split(states[..., :-1], 3, axis=-1)
+        pace = 1.0 / duration[:, None, None]
+        return position, velocity * pace, acceleration * pace**2
 
     def _project(
         self,
@@ -208,14 +244,26 @@ class Refiner:
             restart = Reinitialisation(splines, safe.copy(), route, lost)
             cost = self._reinitialise(restart, cost, certified, barrier)
             splines, safe = restart.splines, restart.safe
-        return replace(asked, basis=cost.basis), bisect_to_safe(
+        moved = self._bisected(splines, safe, cost, certified, route)
+        return replace(asked, basis=cost.basis), moved
+
+    def _bisected(
+        self,
+        splines: Splines,
+        safe: BoolArray,
+        cost: TrajectoryCost,
+        certified: float,
+        route: NDArray[np.intp] | None = None,
+    ) -> Splines:
+        """Move what is not safe towards what is, on its own route if one is given."""
+        return bisect_to_safe(
             splines,
             safe,
-            scene.ends,
+            self.scene.ends,
             cost.basis,
             cost.fields.clearance,
-            scene.motion,
-            route=route,
+            self.scene.motion,
+            route=np.zeros(len(splines), np.intp) if route is None else route,
             certified_margin=certified,
             movers=cost.fields.movers,
             spread=self.spread,

@@ -130,10 +130,14 @@ def polyline_length(points: FloatArray) -> float:
     return float(np.sqrt((legs * legs).sum(1)).sum())
 
 
-def place_along(points: FloatArray, way: float) -> FloatArray:
-    """Return [2] m, the place `way` m along a polyline [K, 2], or its end."""
-    marks = np.append(0.0, np.hypot(*np.diff(points, axis=0).T).cumsum())
-    return np.array([np.interp(way, marks, axis) for axis in points.T])
+def place_along(points: FloatArray, way: float) -> tuple[FloatArray, FloatArray]:
+    """Return [2] m, the place `way` m along a polyline [K, 2] or its end, and the direction [2]."""
+    legs = np.diff(points, axis=0)
+    length = np.hypot(*legs.T)
+    marks = np.append(0.0, length.cumsum())
+    leg = int(np.clip(np.searchsorted(marks, way) - 1, 0, len(legs) - 1))
+    place = np.array([np.interp(way, marks, axis) for axis in points.T])
+    return place, legs[leg] / max(float(length[leg]), 1e-9)
 
 
 @compiled
