@@ -36,7 +36,7 @@ from anchorflow_trajectory.scene import ROUTE_STATES
 
 F64 = "float64"
 PRIOR_BASIS = "prior_basis"
-ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe")
+ARRAYS = ("velocities", "accelerations", "scores", "clearance", "safe", "routes")
 DEFAULT_SAMPLER = OdeSpec("rk4", uniform_schedule(8))
 TIMES = TensorSpec("times", F32, ("K",), "", (0.0, 1.0))
 TRIALS = (
