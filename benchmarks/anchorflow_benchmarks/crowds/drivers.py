@@ -16,7 +16,7 @@ from anchorflow_service.engine import Engine
 
 V_MAX, A_MAX = 2.0, 2.0  # m/s, m/s^2, of the robot
 CRUISE = 1.5  # m/s, if no time of arrival is set
-FAR_GOAL, FAR_SPEED = 9.0, 1.3  # m to the goal of a request at most; m/s there if it is cut short
+PASSING = 1.3  # m/s at the goal of a request that is short of the world's
 MIN_HORIZON_S = 1.0
 EMPTY_MAP_CELLS = 32  # of a side; a map without obstacles needs no more
 
@@ -148,9 +148,9 @@ class AnchorDriver:
         position, people = state[:2], ~np.isnan(world.positions).any(1)
         grid = world.map_around(position)
         way = world.goal - position
-        share = min(1.0, FAR_GOAL / max(float(np.hypot(*way)), 1e-9))
+        share = min(1.0, world.reach / max(float(np.hypot(*way)), 1e-9))
         goal = position + share * way
-        speed = np.zeros(2) if share == 1.0 else FAR_SPEED * way / np.hypot(*way)
+        speed = np.zeros(2) if share == 1.0 else PASSING * way / np.hypot(*way)
         further: dict[str, Any] = {}
         if self._pace and world.left_s is not None:
             further["horizon_s"] = max(share * world.left_s, MIN_HORIZON_S)

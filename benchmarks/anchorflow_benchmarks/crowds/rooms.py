@@ -86,6 +86,7 @@ class Room(World):
     """A run in a layout, with the robot as an agent whose motion is given; `seed` draws people."""
 
     kind = name = "rooms"
+    reach = np.inf
     ticks = round(TIME_LIMIT_S / TICK_S)
 
     def __init__(self, layout: Layout, *, seed: int) -> None:

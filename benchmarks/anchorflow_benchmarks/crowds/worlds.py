@@ -45,6 +45,7 @@ class World:
     kind, name: of the tables that count it; seed: of drivers' noise; ticks: of the longest run
     start, goal: [2] m; positions, velocities: [M, 2] of the people now, NaN while absent
     left_s: until the robot is due at the goal; None if a run ends when it arrives
+    reach: m to the farthest goal of a request
     """
 
     kind: str
@@ -56,6 +57,7 @@ class World:
     positions: Array
     velocities: Array
     left_s: float | None = None
+    reach: float = 9.0
 
     def begin(self) -> None:
         """Put the people where they are at the start."""
