@@ -71,6 +71,7 @@ def drive(world: World, driver: Driver, *, robot: str) -> Trip:
     world.begin()
     driver.begin(world.seed)
     state, way, hit = np.concatenate([world.start, np.zeros(4)]), world.goal - world.start, False
+    short = np.inf
     heading, states = float(np.arctan2(way[1], way[0])), [state]
     spent, distances, faults, braking = [], [], 0, 0
     near = np.zeros(len(world.positions), bool)

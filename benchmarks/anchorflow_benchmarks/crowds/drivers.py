@@ -99,10 +99,9 @@ class MppiDriver:
         due = self.steps if world.left_s is None else round(world.left_s / dt)
         final = 4.0 * to_go[:, -1] + 12.0 * to_go[:, min(due, self.steps) - 1]
 
-        for person, velocity in zip(world.positions, world.velocities, strict=True):
-            ahead = person + time[:, None] * velocity
+        for person in np.flatnonzero(world.present):
+            ahead = world.positions[person] + time[:, None] * world.velocities[person]
             gap = np.linalg.norm(positions - ahead, axis=-1) - CONTACT
-            gap = np.nan_to_num(gap, nan=np.inf)  # who is absent
             running += _nearness(gap, margin=0.05, reach=self.person_range)
         gap = world.wall_distance(positions) - RADIUS
         running += _nearness(gap, margin=0.03, reach=self.wall_range)
@@ -145,7 +144,7 @@ class AnchorDriver:
 
     def request_of(self, world: World, state: Array, *, seed: int) -> AnchorRequest:
         """Build the request of a moment, in the world's frame."""
-        position, people = state[:2], ~np.isnan(world.positions).any(1)
+        position, people = state[:2], world.present
         grid = world.map_around(position)
         way = world.goal - position
         share = min(1.0, world.reach / max(float(np.hypot(*way)), 1e-9))

@@ -65,8 +65,10 @@ def draw_layout(seed: int) -> Layout:
         ways = np.nan_to_num(CELL * np.stack(lengths), posinf=BLOCKED)
         joined = ways[0, cells[:, 0], cells[:, 1]]
         if joined[1] > MIN_WAY and joined.max() < BLOCKED:
-            away, (row, column) = distance_transform_edt(~passable, return_indices=True)
-            to_goal = ways[1, row, column] + CELL * away
+            row, column = np.asarray(
+                distance_transform_edt(~passable, return_distances=False, return_indices=True)
+            )
+            to_goal = ways[1, row, column] + np.maximum(PASSAGE - distance, 0.0)
             grid, places = Grid(occupied, CELL, np.zeros(2)), CELL * (cells[:, ::-1] + 0.5)
             return Layout(grid, distance, places, ways, to_goal)
 

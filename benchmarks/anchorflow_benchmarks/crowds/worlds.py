@@ -67,6 +67,11 @@ class World:
         """Let the people walk for TICK_S, in which the robot gets to a state [6]."""
         raise NotImplementedError
 
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """[M]."""
+        return ~np.isnan(self.positions[:, 0])
+
     def map_around(self, position: Array) -> Grid:
         """Return the map that a robot at [2] has."""
         corner = position - 0.5 * MAP_CELLS * MAP_RESOLUTION
