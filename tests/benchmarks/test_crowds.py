@@ -1,4 +1,4 @@
-"""Drives among people are judged as the judge outside the project does, and drivers see them."""
+"""Runs among people get the figures of an independent judge, and drivers avoid the people."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A contest among people: anchors told velocities, anchors on painted maps, MPPI, a straight line.
+"""A contest among people: anchors with tracks or painted people, MPPI, a line.
 
 Run by `anchorflow bench crowds`.
 """
@@ -43,13 +43,13 @@ from anchorflow_service.engine import Engine
 ROBOTS = ("double-integrator", "unicycle")
 TURN_MAX = 2.0  # rad/s of the unicycle
 ROOMS, SEEDS = 100, 3
-TOLD = {"tracks": "told velocities", "discs": "people as discs"}
-DRIVERS = (*TOLD, "mppi", "straight")
+ANCHORS = {"tracks": "with tracks", "discs": "with painted discs"}
+DRIVERS = (*ANCHORS, "mppi", "straight")
 
 
 @dataclass(frozen=True)
 class Trip:
-    """contacts, faults: people touched, and those whom the robot moved into; hit: touched a wall
+    """contacts, faults: people touched, and those that the robot moved into; hit: touched a wall
 
     short: m to the goal at the end; nearest: m to any person at least; jerk: m/s^3, root mean
     square; ms: of a decision, median; braked: share of the ticks without a plan
@@ -159,12 +159,14 @@ def drivers_of(
     """
     if unknown := [name for name in names if name not in DRIVERS]:
         raise BenchmarkError(f"--drivers: expected some of {', '.join(DRIVERS)}, got {unknown[0]}")
-    told = [name for name in TOLD if name in names]
-    engines = [Engine(bundle, threads=threads) for bundle in bundles if told]
+    kinds = [name for name in ANCHORS if name in names]
+    engines = [Engine(bundle, threads=threads) for bundle in bundles if kinds]
     drivers: list[Driver] = [
-        AnchorDriver(f"{title}, {TOLD[name]}", engine, num=num, painted=name == "discs", pace=pace)
+        AnchorDriver(
+            f"{title}, {ANCHORS[name]}", engine, num=num, painted=name == "discs", pace=pace
+        )
         for title, engine in zip(bundle_names(bundles), engines, strict=False)
-        for name in told
+        for name in kinds
     ]
     plain: dict[str, Driver] = {"mppi": MppiDriver(), "straight": StraightDriver()}
     return drivers + [driver for name, driver in plain.items() if name in names]

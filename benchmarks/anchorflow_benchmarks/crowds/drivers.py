@@ -41,7 +41,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True)
 class StraightDriver:
-    """Drives straight to the goal in the time that is left, and yields to nobody."""
+    """Drives straight to the goal in the time that is left, without yielding."""
 
     name: str = "straight line"
     response_s: float = 0.3
@@ -67,7 +67,7 @@ class MppiDriver:
     samples, steps, held = 512, 50, 5
     sigma, temperature = 1.2, 0.5  # m/s^2 of the disturbances; lambda
     person_range, wall_range = 0.15, 0.1  # m over which nearness falls by e
-    name = "MPPI, told velocities"
+    name = "MPPI with velocities"
 
     def begin(self, seed: int) -> None:
         self._plan = np.zeros((self.steps, 2))

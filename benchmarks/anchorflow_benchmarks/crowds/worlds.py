@@ -101,7 +101,7 @@ class Recording(World):
         self.tick, self.ticks = -1, self.others.shape[1] - 1
         self.advance(self.start)
 
-    def advance(self, state: Array) -> None:  # noqa: ARG002 nobody sees the robot
+    def advance(self, state: Array) -> None:  # noqa: ARG002 the people do not see the robot
         """Velocities are those of the last tick, 0 if unknown."""
         self.tick += 1
         last = max(self.tick - 1, 0)
@@ -113,7 +113,7 @@ class Recording(World):
 def read_recordings(folder: Path, *, limit: int | None = None) -> list[Recording]:
     """Read the windows of a .npz file or of all in a folder, at most `limit` of each.
 
-    The keys of a file: ego [W, T + 1, 2] m, the person whom the robot replaces; others
+    The keys of a file: ego [W, T + 1, 2] m, the person that the robot replaces; others
     [M, T + 1, 2] m, NaN while absent, of which each window owns the next of count [W].
 
     Raises `BenchmarkError` if there is no file, or one cannot be read.
