@@ -82,6 +82,7 @@ WALLS: dict[str, set[str]] = {
         "onnx",
         "onnxruntime",
         "pytorch_mppi",  # the closed loop's controller
+        "pyrvo",  # the people of simulated rooms
         "rich",  # tables
         "scipy",
         "threadpoolctl",

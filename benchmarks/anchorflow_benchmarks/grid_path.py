@@ -29,6 +29,25 @@ def grid_path(
     A move costs its length times one plus the mean surcharge of its ends. Without a path the cost
     is NaN. The start cell need not be passable, and a move of two cells only checks its end.
     """
+    lengths, before = _shortest_paths(passable, start, surcharge)
+    numbers = np.arange(passable.size).reshape(passable.shape)
+    way = [int(numbers[goal])]
+    if not np.isfinite(lengths[way[0]]):
+        return np.nan, np.empty((0, 2), np.intp)
+    while way[-1] != numbers[start]:
+        way.append(int(before[way[-1]]))
+    return float(lengths[way[0]]), np.stack(np.divmod(way[::-1], passable.shape[1]), -1)
+
+
+def distances_from(passable: NDArray[np.bool_], start: Cell) -> NDArray[np.float64]:
+    """Return the length in cells [H, W] of the shortest path from a cell; inf without one."""
+    return _shortest_paths(passable, start, None)[0].reshape(passable.shape)
+
+
+def _shortest_paths(
+    passable: NDArray[np.bool_], start: Cell, surcharge: NDArray[np.floating] | None
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the cost [H * W] of every cell's cheapest path, and the cell before it."""
     passable = passable.copy()
     passable[start] = True
     numbers = np.arange(passable.size, dtype=np.int32).reshape(passable.shape)
@@ -42,15 +61,7 @@ def grid_path(
         costs.append(np.hypot(*move) * 0.5 * (price[tails[-1]] + price[heads[-1]]))
     edges = (np.concatenate(tails), np.concatenate(heads))
     graph = csr_array((np.concatenate(costs), edges), shape=(passable.size,) * 2)
-    lengths, before = dijkstra(
-        graph, directed=False, indices=numbers[start], return_predecessors=True
-    )
-    way = [int(numbers[goal])]
-    if not np.isfinite(lengths[way[0]]):
-        return np.nan, np.empty((0, 2), np.intp)
-    while way[-1] != numbers[start]:
-        way.append(int(before[way[-1]]))
-    return float(lengths[way[0]]), np.stack(np.divmod(way[::-1], passable.shape[1]), -1)
+    return dijkstra(graph, directed=False, indices=numbers[start], return_predecessors=True)
 
 
 def shortest_way(scene: Scene) -> float:

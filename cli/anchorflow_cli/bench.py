@@ -26,6 +26,7 @@ BENCHMARKS = {
     "latency": Benchmark("latency", "latency", "Time a request in this process by stage."),
     "earns": Benchmark("network_ablation", "earns", "Compare bundles with a search for routes."),
     "soft-costs": Benchmark("soft_costs", "soft_costs", "Judge anchors on dear ground."),
+    "crowds": Benchmark("crowds.contest", "crowds", "Drive a robot among people."),
     "load": Benchmark("load", "load", "Load a server with closed-loop clients."),
     "zenoh": Benchmark("transports", "zenoh", "Time HTTP and zenoh beside the engine."),
     "drive": Benchmark("driving.open_loop", "drive", "Score drivers on recorded logs."),

@@ -75,6 +75,12 @@ NO_SCENES = ("--scenes", "nowhere.npz")
         (("closed-loop", "nowhere.npz"), "nowhere.npz: not a file of worlds"),
         (("closed-loop", *WORLD, "--sampler", "luck"), "'luck'"),
         (("closed-loop", *WORLD, "--url", "http://127.0.0.1:1"), "[Errno 111]"),
+        (("crowds", "--robot", "hovercraft"), "--robot: expected double-integrator or"),
+        (
+            ("crowds", "--drivers", "luck"),
+            "expected some of tracks, discs, mppi, straight, got luck",
+        ),
+        (("crowds", "--windows", "nowhere.npz"), "nowhere.npz: not a file of people"),
         (("load", "--url", "http://127.0.0.1:1"), "http://127.0.0.1:1: [Errno 111]"),
         (("load", "--clients", "0,x"), "--clients: expected whole numbers"),
         (("quality", "--baselines", "luck"), "'luck'"),

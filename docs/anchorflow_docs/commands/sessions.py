@@ -288,6 +288,7 @@ WALKTHROUGH = (
             "pip install -e '.[service]'",
             "pip install -e '.[bench]'",
             "pip install -e '.[robot]'",
+            "pip install -e '.[crowds]'",
             "pip install .",
             "pip install '.[zenoh]'",
             "pip install '.[service,zenoh]'",
