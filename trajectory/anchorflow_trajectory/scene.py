@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,10 +22,16 @@ from anchorflow_trajectory.cost.fields import (
 )
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights, TrajectoryCost
 from anchorflow_trajectory.motion import MotionLimits, nominal_duration
-from anchorflow_trajectory.movers import MovingDiscs
+from anchorflow_trajectory.movers import Discs, MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.homotopy import ObstacleRays
-from anchorflow_trajectory.routes.passing import WAITS, Ways, place_to_end, ways_past
+from anchorflow_trajectory.routes.passing import (
+    WAITS,
+    Ways,
+    passing_keys,
+    place_to_end,
+    ways_past,
+)
 from anchorflow_trajectory.routes.search import SLACK, Route, find_routes, place_along
 from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
 from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
@@ -238,6 +244,22 @@ class Scene:
         x_goal = self.x_goal.copy()
         x_goal[:2], x_goal[dim : dim + 2] = place, goal_speed
         return replace(self, x_goal=x_goal)
+
+    def classes(self, positions: FloatArray, duration: FloatArray) -> list[Hashable]:
+        """Return a value for each of the motions [N, T, D] in `duration` [N] s.
+
+        They are equal for those that pass everything, still or moving, on the same sides.
+        """
+        plane = positions[..., :2]
+        found: list[Hashable] = [()] * len(positions)
+        if len(self.rays.rows):
+            found = [*self.rays.signatures(plane, resolution=self.resolution, origin=self.origin)]
+        if self.cost_fields.movers is None:
+            return found
+        discs = Discs.of(self.cost_fields.movers, np.float32)
+        until = max(self.until_s, float(duration.max()))
+        keys = passing_keys(discs, np.ascontiguousarray(plane, np.float32), duration, until)
+        return list(zip(found, keys.tolist(), strict=True))
 
     def nearer(self, share: float) -> Scene:
         """Return the scene with a goal, at rest, at a share of the cheapest route."""

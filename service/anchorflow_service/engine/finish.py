@@ -79,6 +79,7 @@ class SplineFinish:
             "scores": refined.scores,
             "clearance": refined.clearance,
             "safe": refined.safe,
+            "routes": refined.routes,
             **own,
             **samples.arrays,
         }

@@ -53,7 +53,7 @@ class CostWeights:
     short: float = 4.0
     smooth: float = 1.0
     dear: float = 12.0
-    near: float = 8.0
+    near: float = 100.0
     per_s: float = 0.33  # 1/s, of the time spent near what moves
     collision: float = 400.0
     speed: float = 240.0

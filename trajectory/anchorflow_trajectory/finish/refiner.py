@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -86,6 +87,8 @@ class Refined:
     clearance: [N] m beyond robot_radius, smallest along the path
     safe: [N], clear of every obstacle and of the map's edge by the certified margin, and within
         the limits
+    routes: [N], equal for anchors that pass everything, still or moving, on the same sides; counted
+        from 0 in the order of their best scores
     """
 
     positions: FloatArray
@@ -95,6 +98,15 @@ class Refined:
     scores: FloatArray
     clearance: FloatArray
     safe: BoolArray
+    routes: NDArray[np.int64]
+
+
+def numbered(classes: Sequence[Hashable], scores: FloatArray) -> NDArray[np.int64]:
+    """Return the numbers [N] of classes, counted in the order of their best scores."""
+    numbers: dict[Hashable, int] = {}
+    for n in np.argsort(-scores, kind="stable").tolist():
+        numbers.setdefault(classes[n], len(numbers))
+    return np.array([numbers[each] for each in classes], np.int64)
 
 
 @dataclass(frozen=True)
@@ -161,14 +173,16 @@ class Refiner:
             movers=scene.cost_fields.movers,
             duration=splines.duration,
         )
+        scores = -cost.value(splines)
         return Refined(
             position,
             velocity,
             acceleration,
             splines.duration,
-            -cost.value(splines),
+            scores,
             verdict.clearance,
             verdict.safe,
+            numbered(scene.classes(position, splines.duration), scores),
         )
 
     def _yielding(self, spec: Refinement, count: int) -> Refined | None:

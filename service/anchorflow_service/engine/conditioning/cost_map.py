@@ -73,7 +73,7 @@ class CostMapConditioning:
                         "x_goal",
                     )
                 scenes[index] = moved
-        return [MapScene(near, scene, reference) for scene in scenes]
+        return [MapScene(near, scene.among_movers(), reference) for scene in scenes]
 
     def _scene(self, request: ResolvedRequest, index: int, movers: MovingDiscs | None) -> Scene:
         """Return a scene of a request."""
