@@ -12,7 +12,8 @@ from anchorflow_trajectory.compiled import compiled
 
 TURN = 4.0 / 3.0  # m in which a robot without an acceleration limit reaches its speed smoothly
 LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
-FAST, GENTLE, SPEEDS = 0.95, 0.65, 20  # shares of v_max and of a_max in a hurry, and speeds tried
+FAST, SPEEDS = 0.99, 20  # share of v_max in a hurry, and speeds tried
+QUICK, GENTLE = 0.8, 0.65  # shares of a_max while speeding up and while braking
 CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
 
 
@@ -40,12 +41,16 @@ class MotionLimits:
 
     def most_way(self, duration: float, begin: float, end: float = 0.0) -> float:
         """Return about how many m can be covered smoothly in `duration` s, between two speeds."""
-        quicker, slower = GENTLE * self.a_max, GENTLE * self.a_max
+        quicker, slower = QUICK * self.a_max, GENTLE * self.a_max
         top = (duration + begin / quicker + end / slower) / (1.0 / quicker + 1.0 / slower)
         top = max(min(top, FAST * self.v_max), end)
         rise, fall = (top - begin) / quicker, (top - end) / slower
         way = 0.5 * (top + begin) * rise + 0.5 * (top + end) * fall
         return way + top * max(duration - rise - fall, 0.0)
+
+    def least_speed(self, duration: float, begin: float) -> float:
+        """Return the speed [m/s] to which smooth braking leads in `duration` s."""
+        return max(begin - GENTLE * self.a_max * duration, 0.0)
 
     def speed_at(self, way: float, duration: float, begin: float) -> float:
         """Return the speed after `duration` s [m/s] of who will come to rest after `way` m.
@@ -54,7 +59,7 @@ class MotionLimits:
 
         begin: m/s
         """
-        least = max(begin - GENTLE * self.a_max * duration, 0.0)
+        least = self.least_speed(duration, begin)
         for end in np.linspace(least, FAST * self.v_max, SPEEDS).tolist():
             if self.most_way(duration, begin, end) + end**2 / (2.0 * GENTLE * self.a_max) >= way:
                 return end

@@ -60,7 +60,7 @@ COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
-STOPPING = 0.4  # share of the way at its speed, that a robot which comes to rest smoothly covers
+TINY = 1e-9  # m/s
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -218,31 +218,31 @@ class Scene:
         """
         if self.movers is None:
             return self
-        start, goal, speed = self.x_curr[:2], self.x_goal[:2], 0.0
-        horizon, dim = self.motion.horizon_s, len(self.x_goal) // 2
-        velocity, about, within = self.x_curr[dim : dim + 2], start, np.inf
-        goal_speed = self.x_goal[dim : dim + 2]
+        start, goal, dim = self.x_curr[:2], self.x_goal[:2], len(self.x_goal) // 2
+        velocity, goal_velocity = self.x_curr[dim : dim + 2], self.x_goal[dim : dim + 2]
+        horizon, motion, route = self.motion.horizon_s, self.motion, self._cheapest
+        about, within, aside = start, np.inf, np.zeros(2)
         if horizon is None:
-            usual = nominal_duration(self._way, self.motion)
+            usual = nominal_duration(self._way, motion)
             times = [usual, *(usual + wait for wait in WAITS)]
         else:
-            begin, times = float(np.linalg.norm(velocity)), [horizon]
-            about, within = start + STOPPING * horizon * velocity, self.motion.most_way(horizon, 0.0)
-            asked = float(np.linalg.norm(goal_speed))
-            if self.motion.most_way(horizon, begin, asked) < self._way:
-                beyond = asked**2 / self.motion.a_max
-                speed = self.motion.speed_at(self._way + beyond, horizon, begin)
-            if speed > 0.0 and self.routes:
-                reach = self.motion.most_way(horizon, begin, speed)
-                goal, ahead = place_along(self.routes[0].points, reach)
-                goal_speed = speed * ahead
+            times, begin = [horizon], float(np.linalg.norm(velocity))
+            asked = float(np.linalg.norm(goal_velocity))
+            if motion.most_way(horizon, begin, asked) < route.length:
+                speed = motion.speed_at(route.length + asked**2 / motion.a_max, horizon, begin)
+                reach = motion.most_way(horizon, begin, speed)
+                goal, ahead = place_along(route.points, reach)
+                goal_velocity = speed * ahead
+            slowest = motion.least_speed(horizon, begin)
+            aside = velocity * (slowest / max(begin, TINY))
+            about, within = start + 0.5 * horizon * (velocity + aside), motion.most_way(horizon, 0.0)
         place = place_to_end(goal, start, self.cost_fields, times, about=about, within=within)
-        if place is not goal:
-            goal_speed = np.zeros(2)
-        elif speed == 0.0:
+        if place is self.x_goal[:2] or np.array_equal(place, self.x_goal[:2]):
             return self
+        if place is not goal:
+            goal_velocity = aside
         x_goal = self.x_goal.copy()
-        x_goal[:2], x_goal[dim : dim + 2] = place, goal_speed
+        x_goal[:2], x_goal[dim : dim + 2] = place, goal_velocity
         return replace(self, x_goal=x_goal)
 
     def classes(self, positions: FloatArray, duration: FloatArray) -> list[Hashable]:
@@ -260,14 +260,6 @@ class Scene:
         until = max(self.until_s, float(duration.max()))
         keys = passing_keys(discs, np.ascontiguousarray(plane, np.float32), duration, until)
         return list(zip(found, keys.tolist(), strict=True))
-
-    def nearer(self, share: float) -> Scene:
-        """Return the scene with a goal, at rest, at a share of the cheapest route."""
-        dim, x_goal = len(self.x_goal) // 2, self.x_goal.copy()
-        route = self.routes[0] if self.routes else self._straight
-        x_goal[:2] = place_along(route.points, share * route.length)[0]
-        x_goal[dim : dim + 2] = 0.0
-        return replace(self, x_goal=x_goal).among_movers()
 
     @property
     def until_s(self) -> float:
@@ -301,6 +293,10 @@ class Scene:
             limits=self.motion,
             leaning=leaning,
         )
+
+    @property
+    def _cheapest(self) -> Route:
+        return self.routes[0] if self.routes else self._straight
 
     @property
     def _straight(self) -> Route:

@@ -23,6 +23,7 @@ from anchorflow_trajectory.finish.certificate import (
 from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, new_starts
+from anchorflow_trajectory.routes.passing import evasions
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 from anchorflow_trajectory.threads import Spread, in_one
@@ -38,7 +39,7 @@ HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
 DODGE_STEPS = 24  # of other ways past what moves, where no anchor is safe
-YIELDS = (0.6, 0.25, 0.0)  # shares of the route at whose ends anchors wait, if none gets farther
+SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the reference time off
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
@@ -186,21 +187,21 @@ class Refiner:
         )
 
     def _yielding(self, spec: Refinement, count: int) -> Refined | None:
-        """Return anchors that end short of the goal, as far on as one is safe, if any is."""
-        for share in YIELDS:
-            scene = self.scene.nearer(share)
-            refiner, others = replace(self, scene=scene), scene.ways.others
-            if others is None:
-                return None
-            splines, cost = others[np.arange(count) % len(others)], refiner.cost(spec)
-            certified = spec.certified_margin
-            longer = OptimisationPass(DODGE_STEPS, RESTART_RATE, slowed_after=True)
-            splines, safe = longer.run(
-                cost, splines, scene.ends, certified_margin=certified, spread=self.spread
-            )
-            if safe.any():
-                return refiner._measured(refiner._bisected(splines, safe, cost, certified), cost, spec)
-        return None
+        """Return anchors that step aside and wait, if one of them is safe; they end elsewhere."""
+        scene, cost = self.scene, self.cost(spec)
+        basis = scene.basis.finer or scene.basis
+        cost = replace(cost, basis=basis)
+        drawn = evasions(basis, scene.ends, scene.motion)
+        certified = spec.certified_margin
+        safe = self._safe(drawn, basis, certified)
+        if not safe.any():
+            return None
+        kept = np.flatnonzero(safe)[np.argsort(cost.value(drawn[safe]), kind="stable")]
+        chosen = drawn[kept[np.arange(count) % len(kept)]]
+        refined = self._measured(chosen, cost, spec)
+        short = np.linalg.norm(refined.positions[:, -1, :2] - scene.x_goal[:2], axis=-1)
+        scores = refined.scores - SHORT * short / (scene.motion.v_max * scene.reference_s)
+        return replace(refined, scores=scores.astype(refined.scores.dtype))
 
     def cost(self, spec: Refinement) -> TrajectoryCost:
         """Return the cost that the projection descends and that scores and guidance use."""
