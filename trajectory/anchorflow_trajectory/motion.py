@@ -12,8 +12,8 @@ from anchorflow_trajectory.compiled import compiled
 
 TURN = 4.0 / 3.0  # m in which a robot without an acceleration limit reaches its speed smoothly
 LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
-FAST, SPEEDS = 0.99, 20  # share of v_max in a hurry, and speeds tried
-QUICK, GENTLE = 0.8, 0.65  # shares of a_max while speeding up and while braking
+FAST, SPEEDS = 0.97, 20  # share of v_max in a hurry, and speeds tried
+QUICK, GENTLE = 0.7, 0.65  # shares of a_max while speeding up and while braking
 CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
 
 

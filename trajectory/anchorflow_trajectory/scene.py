@@ -261,6 +261,13 @@ class Scene:
         keys = passing_keys(discs, np.ascontiguousarray(plane, np.float32), duration, until)
         return list(zip(found, keys.tolist(), strict=True))
 
+    def nearer(self, share: float) -> Scene:
+        """Return the scene with a goal at a share of the cheapest route and of the goal's speed."""
+        dim, x_goal, route = len(self.x_goal) // 2, self.x_goal.copy(), self._cheapest
+        x_goal[:2] = place_along(route.points, share * route.length)[0]
+        x_goal[dim : dim + 2] *= share
+        return replace(self, x_goal=x_goal)
+
     @property
     def until_s(self) -> float:
         """s after which ways do not differ any more."""

@@ -46,6 +46,7 @@ class Gains(NamedTuple):
     distance: np.floating
     widening: np.floating
     fading: np.floating
+    haste: np.floating
     limit_share: np.floating
     margin: np.floating
     v_max: np.floating
@@ -114,7 +115,7 @@ def cost_of_lanes(
     dim, steps = control.shape[0], len(band.first)
     samples = np.empty((4, dim, LANES), control.dtype)
     ground = np.zeros((2, 3, LANES), control.dtype)
-    pull = np.zeros((2, LANES), control.dtype)
+    pull = np.zeros((4, LANES), control.dtype)
     # |p'|, |p''| and |p'''| times these are shares of the limits.
     pace = np.empty((3, LANES), control.dtype)
     gain = np.empty((2, LANES), control.dtype)  # of |p'|^2 and of |p'''|^2
@@ -139,13 +140,14 @@ def cost_of_lanes(
                 ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
         share = real(t) / real(steps - 1)
         if len(problem.movers.radius) > 0:
-            _charge_movers(problem, style, share, duration, samples, lanes, hinges, pull)
+            _charge_movers(problem, style, share, duration, pace, samples, lanes, hinges, pull)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
+        _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
         if len(problem.movers.radius) > 0:
             for m in range(lanes):
-                samples[0, 0, m] += pull[0, m]
-                samples[0, 1, m] += pull[1, m]
-        _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
+                for k in range(2):
+                    samples[0, k, m] += pull[k, m]
+                    samples[1, k, m] += pull[2 + k, m]
         if is_sloped:
             gather_slopes(samples, lanes, band, t, slope)
     share = real(1.0) / real(steps)
@@ -197,19 +199,21 @@ def _charge_movers(
     style: FloatArray,
     share: float,
     duration: FloatArray,
+    pace: FloatArray,
     samples: FloatArray,
     lanes: int,
     hinges: FloatArray,
     pull: FloatArray,
 ) -> None:
-    """Add the cost of how near what moves the samples lie; write its slopes by place, [2, LANES].
+    """Add the cost of how near what moves the samples lie, the more, the quicker.
 
     share: of the duration at which the samples are
+    pull: [4, LANES], its slopes by place and by p'
     """
     gains, discs, real = problem.gains, problem.movers, samples.dtype.type
     legs, far = discs.places.shape[1] - 1, real(np.inf)
     time, comfort = np.empty(LANES, samples.dtype), np.empty(LANES, samples.dtype)
-    scale = np.empty((2, LANES), samples.dtype)
+    scale, haste = np.empty((2, LANES), samples.dtype), np.empty(LANES, samples.dtype)
     x, y = samples[0, 0], samples[0, 1]
     left, right, low, high, first, last = far, -far, far, -far, far, real(0.0)
     for m in range(lanes):
@@ -218,6 +222,10 @@ def _charge_movers(
         scale[0, m] = gains.per_s * duration[m]
         scale[1, m] = scale[0, m] * gains.near * (real(1.0) + style[0, m])
         scale[1, m] /= real(1.0) + gains.fading * time[m]
+        haste[m] = gains.haste * pace[0, m] * pace[0, m]
+        quick = haste[m] * (samples[1, 0, m] ** 2 + samples[1, 1, m] ** 2)
+        scale[1, m] *= real(1.0) + quick
+        haste[m] /= real(1.0) + quick
         left, right = min(left, x[m]), max(right, x[m])
         low, high = min(low, y[m]), max(high, y[m])
         first, last = min(first, time[m]), max(last, time[m])
@@ -247,6 +255,11 @@ def _charge_movers(
             _charge_mover(
                 gains, scale, line, (from_s, until_s), time, comfort, x, y, lanes, hinges, pull
             )
+    for m in range(lanes):
+        # The third row has summed up the cost of nearness, to which haste is a factor.
+        charged = real(2.0) * haste[m] * pull[2, m]
+        hinges[1, m] += charged * (samples[1, 0, m] ** 2 + samples[1, 1, m] ** 2)
+        pull[2, m], pull[3, m] = charged * samples[1, 0, m], charged * samples[1, 1, m]
 
 
 @compiled
@@ -273,7 +286,7 @@ def _charge_mover(
     real = x.dtype.type
     zero, one, two, deepest = real(0.0), real(1.0), real(2.0), real(DEEP)
     cost, later = hinges[0], hinges[1]
-    pull_x, pull_y = pull[0], pull[1]
+    pull_x, pull_y, closeness = pull[0], pull[1], pull[2]
     for m in range(lanes):
         off_x = x[m] - x_0 - speed_x * time[m]
         off_y = y[m] - y_0 - speed_y * time[m]
@@ -284,14 +297,16 @@ def _charge_mover(
         deep = min(hard, deepest)
         lack = there * max(one - gap * comfort[m], zero)
         touch, near = scale[0, m] * gains.collision, scale[1, m]
-        charge = touch * deep * (hard + hard - deep) + near * lack * lack
+        close = near * lack * lack
+        charge = touch * deep * (hard + hard - deep) + close
         cost[m] += charge
+        closeness[m] += close
         rate = -two * (touch * deep + near * comfort[m] * lack) / apart
         pull_x[m] += rate * off_x
         pull_y[m] += rate * off_y
         closing = off_x * speed_x + off_y * speed_y + growth * apart
         widened = two * near * lack * (lack - one) * gains.widening * comfort[m]
-        faded = near * lack * lack * gains.fading / (one + gains.fading * time[m])
+        faded = close * gains.fading / (one + gains.fading * time[m])
         later[m] += (rate * closing + widened + faded) * time[m] - charge
 
 

@@ -38,10 +38,11 @@ HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is
 # on a finer one, and there the cheapest starts of each route get the longest pass. Its rate is for
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
-DODGE_STEPS = 24  # of other ways past what moves, where no anchor is safe
 SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the reference time off
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
+DODGE = OptimisationPass(24, RESTART_RATE, slowed_after=True)  # where no anchor is safe
+YIELDS = (0.8, 0.5)  # shares of the route at whose ends anchors wait, if none gets farther
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -187,18 +188,33 @@ class Refiner:
         )
 
     def _yielding(self, spec: Refinement, count: int) -> Refined | None:
-        """Return anchors that step aside and wait, if one of them is safe; they end elsewhere."""
-        scene, cost = self.scene, self.cost(spec)
-        basis = scene.basis.finer or scene.basis
-        cost = replace(cost, basis=basis)
-        drawn = evasions(basis, scene.ends, scene.motion)
+        """Return anchors that end short of the goal, or else step aside, if one of them is safe."""
         certified = spec.certified_margin
+        finer = self.scene.basis.finer
+        for share in (1.0, *YIELDS):
+            refiner = replace(self, scene=self.scene.nearer(share))
+            others, cost = refiner.scene.ways.others, refiner.cost(spec)
+            assert others is not None
+            drawn = others[np.arange(count) % len(others)]
+            if finer is not None:
+                drawn, cost = refiner.scene.basis.refined(drawn), replace(cost, basis=finer)
+            drawn, safe = refiner._optimised(DODGE, cost, drawn, certified, None)
+            if safe.any():
+                moved = refiner._bisected(drawn, safe, cost, certified)
+                return self._short_of_goal(refiner._measured(moved, cost, spec))
+        scene, basis = self.scene, self.scene.basis.finer or self.scene.basis
+        cost = replace(self.cost(spec), basis=basis)
+        drawn = evasions(basis, scene.ends, scene.motion)
         safe = self._safe(drawn, basis, certified)
         if not safe.any():
             return None
         kept = np.flatnonzero(safe)[np.argsort(cost.value(drawn[safe]), kind="stable")]
         chosen = drawn[kept[np.arange(count) % len(kept)]]
-        refined = self._measured(chosen, cost, spec)
+        return self._short_of_goal(self._measured(chosen, cost, spec))
+
+    def _short_of_goal(self, refined: Refined) -> Refined:
+        """Return the anchors with scores that tell how far from the goal they end."""
+        scene = self.scene
         short = np.linalg.norm(refined.positions[:, -1, :2] - scene.x_goal[:2], axis=-1)
         scores = refined.scores - SHORT * short / (scene.motion.v_max * scene.reference_s)
         return replace(refined, scores=scores.astype(refined.scores.dtype))
@@ -295,8 +311,7 @@ class Refiner:
         """Replace anchors, none of which is safe, by other ways past what moves that are."""
         others = self.scene.ways.others
         assert others is not None
-        longer = OptimisationPass(DODGE_STEPS, RESTART_RATE, slowed_after=True)
-        tried, gained = self._optimised(longer, cost, others, certified, barrier)
+        tried, gained = self._optimised(DODGE, cost, others, certified, barrier)
         found = np.flatnonzero(gained)[: len(splines)]
         places = np.arange(len(found))
         safe[places] = True

@@ -33,7 +33,7 @@ MOST_WAYS, MOST_OTHERS = 8, 64
 EVASIVE_DIRECTIONS, EVASIVE_TIMES = 12, (0.7, 1.1, 1.8)  # s
 EVASIVE_SHARES = (0.5, 1.0)  # of what a robot covers smoothly from rest to rest in the time
 SMOOTH_REACH, SMOOTH_STOP = 0.17, 1.9  # a quintic's way / (a_max t^2), and its time a_max / speed
-END_ROOM = 0.15  # m that what moves leaves to a place to end at
+END_ROOM, STAY = 0.2, 0.6  # m that what moves leaves to a place to end at, and s for which it does
 ASIDE, MOST_ASIDE, DIRECTIONS = 0.15, 3.0, 24  # m, m, and places a ring about a goal that is taken
 WHOLE_LATTICE = 2  # routes that get every manoeuvre; the others only slow down and wait
 KEYS_SEED = 1
@@ -99,7 +99,7 @@ def evasions(basis: SplineBasis, ends: Ends, limits: MotionLimits) -> Splines:
     if not places:
         places, lasting = [position[None]], [np.array([limits.horizon_s])]
     target, moving = np.concatenate(places), np.concatenate(lasting)
-    whole = moving if limits.horizon_s is None else np.full(len(moving), limits.horizon_s)
+    whole = moving + STAY if limits.horizon_s is None else np.full(len(moving), limits.horizon_s)
     s = np.linspace(0.0, 1.0, basis.num_samples)
     share = np.minimum(s * whole[:, None] / moving[:, None], 1.0)[..., None]
     timed = _stopping(share, moving[:, None, None], position, velocity, acceleration, target)
@@ -158,7 +158,7 @@ def place_to_end(
     fields: of the scene; times: s of arrival, one of which has to do
     """
     discs = Discs.of(fields.movers, np.float64)
-    if _is_clear(discs, goal[None], times, END_ROOM).any():
+    if not len(discs.radius) or _is_clear(discs, goal[None], times).any():
         return goal
     back = np.arctan2(*(start - goal)[::-1])
     turns = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
@@ -166,7 +166,7 @@ def place_to_end(
     reach = np.arange(1, round(MOST_ASIDE / ASIDE) + 1) * ASIDE
     offsets = reach[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], -1)
     places = goal + offsets.reshape(-1, 2)
-    clear = _is_clear(discs, places, times, END_ROOM).any(1)
+    clear = _is_clear(discs, places, times).any(1)
     clear &= path_clearance(fields.clearance, places[:, None]) >= required_clearance(
         fields.clearance, 0.0
     )
@@ -174,15 +174,17 @@ def place_to_end(
     return places[clear.argmax()] if clear.any() else goal
 
 
-def _is_clear(
-    discs: Discs, places: FloatArray, times: Sequence[float], margin: float
-) -> NDArray[np.bool_]:
-    """Return whether what moves is away from places [P, 2] at each of [Q] times: [P, Q]."""
-    clear = np.empty((len(places), len(times)), np.bool_)
+def _is_clear(discs: Discs, places: FloatArray, times: Sequence[float]) -> NDArray[np.bool_]:
+    """Return whether what moves keeps END_ROOM from places [P, 2] from [Q] times on: [P, Q].
+
+    It looks STAY s ahead: who arrives stands there.
+    """
+    clear = np.ones((len(places), len(times)), np.bool_)
     for q, time in enumerate(times):
-        at = np.array([place_at(discs, j, time) for j in range(len(discs.radius))])
-        apart = np.linalg.norm(places[:, None] - at, axis=-1) - discs.radius
-        clear[:, q] = (apart - discs.growth * time).min(1) >= margin
+        for later in (0.0, 0.5 * STAY, STAY):
+            at = np.array([place_at(discs, j, time + later) for j in range(len(discs.radius))])
+            apart = np.linalg.norm(places[:, None] - at, axis=-1) - discs.radius
+            clear[:, q] &= (apart - discs.growth * (time + later)).min(1) >= END_ROOM
     return clear
 
 
