@@ -31,9 +31,10 @@ def crossing(visit: Any) -> Any:
     """The empty map with a person who crosses the straight way; the exchange about both."""
     visit.choose_empty_map()
     visit.locate("[data-tool=person]").click()
+    # Shorter drags on the way to the end of this one give less than 1.3 m/s.
     visit.exchange = visit.answer(
         lambda: visit.drag(visit.at((0.0, -3.0)), visit.at((0.0, -2.0))),
-        lambda asked: len(people_in(asked)) == 1 and people_in(asked)[0, 3] > 1.0,
+        lambda asked: len(people_in(asked)) == 1 and people_in(asked)[0, 3] > 1.3,
     )
     return visit
 
@@ -103,8 +104,9 @@ def test_the_time_bar_shows_who_is_where(crossing: Any, artefacts: Path) -> None
 
     crossing.locate("#walk-play").click()
     expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Stop")
-    expect(crossing.locate("#walk-text")).to_have_text("4.0 s", timeout=PATIENCE_MS)
-    crossing.locate("#walk-play").click()
+    # It ends with the longest anchor.
+    expect(crossing.locate("#walk-text")).to_have_text(f"{longest:.1f} s", timeout=PATIENCE_MS)
+    expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Play")
     crossing.locate("#replay").click()
     expect(crossing.locate("#scrub")).to_be_visible()
     expect(crossing.locate("#walk")).to_be_hidden()
