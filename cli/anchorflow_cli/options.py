@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import typer
 from numpy.typing import NDArray
 from typer.core import TyperCommand
 
+from anchorflow_client.contract import Obstacles
 from anchorflow_client.contract.checks import Interval
 from anchorflow_client.contract.fields import (
     COORDINATE,
@@ -22,6 +24,7 @@ from anchorflow_client.contract.fields import (
     STYLES,
     VELOCITY,
 )
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.http.transport import Address
 
 Vector = NDArray[np.float64]
@@ -244,6 +247,29 @@ LayerOption = Annotated[
         metavar="CHANNEL=FILE",
         help="A grey picture of the map's size, white for 1: traversability, risk, or 3 and up; "
         "repeatable.",
+    ),
+]
+
+
+def tracks_file(text: str) -> Obstacles:
+    """Read the obstacles in a file; raise `typer.BadParameter` if there are none."""
+    try:
+        return Obstacles.from_fields(json.loads(Path(text).read_text(encoding="utf-8")))
+    except OSError as error:
+        raise typer.BadParameter(f"{text}: {error.strerror}") from error
+    except ValueError as error:
+        raise typer.BadParameter(f"{text}: expected JSON, got {error}") from error
+    except InvalidRequest as error:
+        raise typer.BadParameter(f"{text}: {error}") from error
+
+
+ObstaclesOption = Annotated[
+    Any,
+    typer.Option(
+        "--obstacles",
+        parser=tracks_file,
+        metavar="FILE",
+        help="JSON of what moves: position and velocity [M,2], radius [M], as in a request.",
     ),
 ]
 PenaltyOption = Annotated[

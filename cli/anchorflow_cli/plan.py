@@ -22,6 +22,7 @@ from anchorflow_cli.options import (
     HorizonOption,
     LayerOption,
     NumSamplesOption,
+    ObstaclesOption,
     PenaltyOption,
     RadiusOption,
     SeedOption,
@@ -54,6 +55,7 @@ def plan(
     goal_velocity: GoalVelocityOption = None,
     style: StyleOption = None,
     layer: LayerOption = None,
+    obstacles: ObstaclesOption = None,
     cost_penalty: PenaltyOption = None,
     num_samples: NumSamplesOption = DEFAULT_NUM_SAMPLES,
     seed: SeedOption = None,
@@ -92,6 +94,7 @@ def plan(
         x_curr=x_curr,
         x_goal=x_goal,
         w_style=style,
+        obstacles=obstacles,
         cost_penalty=cost_penalty,
         num_samples=num_samples,
         seed=seed,
@@ -109,7 +112,8 @@ def plan(
     if out is not None:
         with needs_extra("plot", who="anchorflow plan --out"):
             from anchorflow_cli.plots import draw_anchors
-        draw_anchors(anchors, seen, start=start[:2], goal=goal[:2], path=out)
+        ends = {"start": start[:2], "goal": goal[:2]}
+        draw_anchors(anchors, seen, path=out, obstacles=obstacles, **ends)
 
 
 def layers_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -141,6 +142,66 @@ def test_a_layer_that_cannot_be_read_is_one_line(
     ends = ("--start=0,0", "--goal=3,0")
     said = failure("plan", "--map", map_file, *ends, "--layer", layer.format(small))
     assert words in " ".join(said.split())
+
+
+PEOPLE = {"position": [[1, -1]], "velocity": [[0, 0.5]], "radius": [0.3], "growth": 0.1}
+
+
+@pytest.fixture
+def tracks(tmp_path: Path) -> Callable[[str], Path]:
+    """Return a function that writes a file of tracks."""
+
+    def write(text: str) -> Path:
+        (tmp_path / "tracks.json").write_text(text)
+        return tmp_path / "tracks.json"
+
+    return write
+
+
+@pytest.mark.parametrize(
+    "moves", [{}, {"velocity": None, "forecast": [[[1, 0], [1, 2]]], "forecast_dt": 1.5}]
+)
+def test_obstacles_are_sent_and_drawn_by_time(
+    map_file: Path, requests: list[AnchorRequest], tracks: Callable[[str], Path], moves: dict
+) -> None:
+    file = tracks(json.dumps(PEOPLE | moves))
+    picture = file.with_name("plot.png")
+    few = ("--num-samples", 5, "--out", picture)
+    succeed("plan", "--map", map_file, "--start=0,0", "--goal=3,0", "--obstacles", file, *few)
+
+    (request,) = requests
+    assert request.obstacles is not None
+    np.testing.assert_array_equal(request.obstacles.position, [[1, -1]])
+    assert request.obstacles.growth == 0.1
+    assert request.obstacles.forecast_dt == moves.get("forecast_dt")
+    with Image.open(picture) as image:
+        pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
+    for colour in ((68, 1, 84), (253, 231, 37)):  # viridis from its first to its last shade
+        assert (np.abs(pixels - colour).max(1) < 30).sum() > 50
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, "No such file or directory"),
+        ("{", "expected JSON, got Expecting property name"),
+        ("[1]", "obstacles"),
+        (json.dumps(PEOPLE | {"velocity": None}), "obstacles.velocity: this field is required"),
+        (json.dumps(PEOPLE | {"radius": [1, 2]}), "obstacles.radius: expected M = 1"),
+        (json.dumps(PEOPLE | {"speed": 1}), "speed"),
+    ],
+)
+def test_tracks_that_cannot_be_read_are_one_line(
+    map_file: Path, tracks: Callable[[str], Path], text: str | None, words: str
+) -> None:
+    file = tracks("") if text is None else tracks(text)
+    if text is None:
+        file.unlink()
+    ends = ("--start=0,0", "--goal=3,0")
+    said = " ".join(failure("plan", "--map", map_file, *ends, "--obstacles", file).split())
+    assert "--obstacles" in said
+    assert "tracks.json" in said
+    assert words in said
 
 
 @pytest.mark.parametrize("style", ["hasty", "1,2", "1,2,nan"])

@@ -228,7 +228,7 @@ def test_every_tool_is_in_reach(visit: Any) -> None:
     sizes = ((1366, 768), (1366, 650), (1536, 730), (1600, 780), (1180, 640), (1024, 768))
     for width, height in (*sizes, (800, 600)):
         visit.page.set_viewport_size({"width": width, "height": height})
-        for name in ("[data-tool=move]", "#another", "#undo", "#drive", "#replay"):
+        for name in ("[data-tool=person]", "#another", "#undo", "#drive", "#replay"):
             assert visit.locate(name).evaluate(hit), (name, width, height)
         tops = [visit.locate(name).bounding_box()["y"] for name in ("#another", "#undo")]
         assert tops[0] == tops[1]

@@ -45,8 +45,18 @@ for (const [dt, first, durations, text, isOwn] of [
     close(range(3).map((n) => anchors.duration(n)), durations);
     assert.deepEqual([anchors.durationsText, anchors.hasOwnTime], [text, isOwn]);
     assert.equal(anchors.time(1, 4), durations[1]);
+    assert.deepEqual(anchors.at(1, 1e3), { x: 0, y: 0, vx: 0, vy: 0 });
   });
 }
+
+test("an anchor is where it is at a time", () => {
+  const answer = { trajectories: tensor([2, 3, 2], [...Array(6).fill(9), 0, 0, 1, 2, 1, 6]), dt: [9, 0.5] };
+  const anchors = new Anchors(answer, { conditioning: { limits: { v_max: 2 } } });
+
+  assert.deepEqual(anchors.at(1, 0.25), { x: 0.5, y: 1, vx: 2, vy: 4 });
+  assert.deepEqual(anchors.at(1, 0.75), { x: 1, y: 4, vx: 0, vy: 8 });
+  assert.deepEqual(anchors.at(1, 7), { x: 1, y: 6, vx: 0, vy: 8 });
+});
 
 test("a plan runs through its samples and is smooth between them", () => {
   const rows = (value) => Float32Array.from(range(9).flatMap((k) => value(k / 2)));

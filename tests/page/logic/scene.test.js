@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { RequestFields, rangeOf } from "../../../service/anchorflow_service/page/js/fields.js";
 import { Grid, OCCUPIED } from "../../../service/anchorflow_service/page/js/map/grid.js";
+import { walk } from "../../../service/anchorflow_service/page/js/map/people.js";
 import { STYLES, Scene } from "../../../service/anchorflow_service/page/js/map/scene.js";
 import { readScene, toJson } from "../../../service/anchorflow_service/page/js/map/scene_file.js";
 import { styleName, weightsAt } from "../../../service/anchorflow_service/page/js/map/style.js";
@@ -136,16 +137,18 @@ test("a saved scene opens as it was", () => {
   scene.grid.stroke([1, -1], [1, -2], 0.1, 0.4, "risk");
   Object.assign(scene.options, { num_samples: 8, seed: 7, horizon_s: 20, "refine.barrier": true });
   scene.style = STYLES.efficient;
+  scene.people = [{ x: 1, y: -2, vx: 0.5, vy: 0.25, radius: 0.3 }, { x: 0, y: 9, vx: 0, vy: 0, radius: 0.4 }];
   const request = scene.request();
 
-  const { card, grid, ends, style, options, left } = open(toJson(request));
+  const { card, grid, ends, people, style, options, left } = open(toJson(request));
   const again = new Scene(fields);
   again.useCard(card);
   Object.assign(again.options, options);
   Object.assign(again, { style });
-  again.useMap(grid, ends);
+  again.useMap(grid, ends, people);
 
   assert.deepEqual(left, []);
+  assert.deepEqual(request.obstacles, { position: [[1, -2], [0, 9]], velocity: [[0.5, 0.25], [0, 0]], radius: [0.3, 0.4] });
   assert.deepEqual(again.request(), request);
   assert.deepEqual(JSON.parse(toJson(request)), request);
 });
@@ -162,6 +165,39 @@ test("soft costs are further channels, with the neutral values of the contract, 
   assert.equal(scene.grid.softCost(25 * 60 + 30), 0.9);
   scene.undo();
   assert.deepEqual(at([0]), [0]);
+});
+
+test("people come and go with undo, and leave with their map", () => {
+  const scene = sceneFor(mapCard);
+  scene.remember();
+  scene.people.push({ x: 1, y: 1, vx: 0, vy: 0, radius: 0.3 });
+  scene.remember();
+  scene.people[0].vx = 1;
+  scene.undo();
+  assert.deepEqual(scene.request().obstacles.velocity, [[0, 0]]);
+  scene.undo();
+  assert.ok(!("obstacles" in scene.request()));
+  scene.people.push({ x: 1, y: 1, vx: 0, vy: 0, radius: 0.3 });
+  scene.useMap(new Grid(50, 60, 0.1));
+  assert.deepEqual(scene.people, []);
+});
+
+test("people walk until a wall or the map's edge, and turn back there", () => {
+  const grid = new Grid(50, 60, 0.1);
+  grid.stroke([1, -2], [1, 2], 0.1, OCCUPIED);
+  const people = [{ x: 0, y: 0, vx: 1, vy: 0.5 }, { x: 0, y: 2, vx: 0, vy: 1 }, { x: 0, y: 1, vx: 0, vy: 0 }];
+  assert.equal(walk(people, 0.4, grid), false);
+  close([people[0].x, people[0].y, people[1].y], [0.4, 0.2, 2.4]);
+  assert.equal(walk(people, 0.6, grid), true);
+  assert.deepEqual(people.map(({ vx, vy }) => [vx, vy]), [[-1, -0.5], [-0, -1], [0, 0]]);
+  close([people[0].x, people[1].y], [0.4, 2.4]);
+});
+
+test("a forecast gives the velocity of its first leg, and what is left out is named", () => {
+  const obstacles = { position: [[1, 2]], radius: [0.3], forecast: [[[1.5, 1], [9, 9]]], forecast_dt: 0.5, growth: 0.1 };
+  const { people, left } = open({ ...place, obstacles });
+  assert.deepEqual(people, [{ x: 1, y: 2, vx: 1, vy: -2, radius: 0.3 }]);
+  assert.deepEqual(left, ["obstacles.forecast", "obstacles.growth"]);
 });
 
 test("a scene keeps its acceleration; null is not given", () => {
@@ -191,6 +227,8 @@ for (const [request, message] of [
   [{ ...place, w_style: [0, 0, 0] }, "a.json: w_style: expected weights above 0"],
   [{ ...place, w_style: "fast" }, "a.json: w_style: expected conservative, balanced"],
   [{ ...place, refine: { smooth: 1 } }, "a.json: refine.smooth: expected true or false, got 1."],
+  [{ ...place, obstacles: { position: [[0, 0]], radius: [0.3] } }, "a.json: obstacles.velocity: expected 2 numbers, got nothing."],
+  [{ ...place, obstacles: { position: [[0, 0]], radius: [] } }, "a.json: obstacles.radius: expected as many as positions, got 0 values."],
   [{ ...place, sampler: { method: "magic" } }, "a.json: sampler.method: expected one of rk4"],
   [{ ...place, sampler: { schedule: { uniform: "2" } } }, 'a.json: sampler.schedule.uniform: expected a number, got "2".'],
   [{ ...place, cost_map: { data: [[[0, "x"]]], resolution: 0.1 } }, "a.json: cost_map.data: expected [C,H,W]"],
@@ -219,8 +257,12 @@ test("the binary form carries arrays as tensors and other fields by their path",
   assert.deepEqual([method, margin, tau, v_max], ["midpoint", 0.1, 0.8, 2]);
 
   const scene = sceneFor(mapCard);
+  scene.people = [{ x: 1, y: -2, vx: 0.5, vy: 0.25, radius: 0.3 }];
   scene.grid.stroke([0, 0], [0, 0], 0.1, 1, "risk");
   const asked = pack(scene.request());
+  const tracks = JSON.parse(new TextDecoder().decode(asked.header)).inputs.slice(-4, -1);
+  assert.deepEqual(tracks.map(({ name, shape }) => [name, shape]), [["obstacle_position", [1, 2]], ["obstacle_velocity", [1, 2]], ["obstacle_radius", [1]]]);
+  close(new Float64Array(asked.tensors.at(-3).buffer), [0.5, 0.25]);
   const [map] = JSON.parse(new TextDecoder().decode(asked.header)).inputs.slice(-1);
   assert.deepEqual([map.name, map.shape, asked.tensors.at(-1).length], ["cost_map", [3, 50, 60], 3 * 50 * 60 * 4]);
 });

@@ -1,5 +1,7 @@
 /** The anchors of a response in flat arrays, and the figures that the page derives from them. */
 
+import { clamp } from "./dom.js";
+
 /** At lower speeds [m/s] the curvature is not defined well enough to show. */
 const STANDSTILL = 0.05;
 
@@ -54,6 +56,16 @@ export class Anchors {
   /** s from now to the last time step of anchor n. */
   duration(n) {
     return this.time(n, this.steps - 1);
+  }
+
+  /** {x, y, vx, vy} of anchor n after `seconds`, straight between its time steps; the last place after its end. */
+  at(n, seconds) {
+    const place = clamp((seconds - this.first) / this.dts[n], 0, this.steps - 1);
+    const step = Math.min(Math.floor(place), this.steps - 2);
+    const k = 2 * (n * this.steps + step);
+    const [x, y, toX, toY] = this.positions.subarray(k, k + 4);
+    const share = place - step;
+    return { x: x + share * (toX - x), y: y + share * (toY - y), vx: (toX - x) / this.dts[n], vy: (toY - y) / this.dts[n] };
   }
 
   /** "4.2 to 9.1 s" over the safe anchors, or over all if none is; "8.0 s" if they are alike. */

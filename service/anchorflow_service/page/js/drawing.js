@@ -4,7 +4,7 @@ import { clamp, figure } from "./dom.js";
 
 /** Colours of a ramp; lines of one shade are drawn in one stroke. */
 const SHADES = 24;
-const COLOURS = ["map", "wall", "halo", "unknown", "outline", "focus", "start", "goal", "dear", "ink", "soft", "accent", "bad", "card", "verge", "road", "zebra"];
+const COLOURS = ["map", "wall", "halo", "unknown", "outline", "focus", "start", "goal", "person", "dear", "ink", "soft", "accent", "bad", "card", "verge", "road", "zebra"];
 const RAMPS = ["score", "speed", "clearance"];
 const UNSAFE_DASH = [5, 4];
 /** Share of the anchors that may lie below the low end of the colour scale. */

@@ -104,7 +104,7 @@ export async function plan(request) {
 }
 
 /** Arrays become tensors, all other fields parameters named by their JSON path. */
-export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: style, warm_start: warm, ...rest }) {
+export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: style, warm_start: warm, obstacles, ...rest }) {
   const [rows] = map.data;
   const cells = [map.data.length, rows.length, rows[0].length];
   const inputs = [
@@ -113,6 +113,7 @@ export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: styl
     ["w_style", "FP64", [style.length], style],
     ["map_geometry", "FP64", [3], [...map.origin, map.resolution]],
     ...(warm ? [["warm_start", "FP64", [warm.trajectory.length, warm.trajectory[0].length], warm.trajectory.flat()]] : []),
+    ...(obstacles ? tracksOf(obstacles) : []),
     ["cost_map", "FP32", cells, map.data.flat(2)],
   ];
   const tensors = inputs.map(([, datatype, , values]) => new Uint8Array(ARRAYS[datatype].from(values).buffer));
@@ -123,6 +124,15 @@ export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: styl
   const text = JSON.stringify({ parameters: { binary_data_output: true, ...flatten(rest), ...warmStart }, inputs: entries });
   const padded = text.padEnd(Math.ceil(text.length / ALIGNMENT) * ALIGNMENT);
   return { header: new TextEncoder().encode(padded), tensors };
+}
+
+/** The tensors of obstacles with a velocity. */
+function tracksOf({ position, velocity, radius }) {
+  return [
+    ["obstacle_position", "FP64", [position.length, 2], position.flat()],
+    ["obstacle_velocity", "FP64", [velocity.length, 2], velocity.flat()],
+    ["obstacle_radius", "FP64", [radius.length], radius],
+  ];
 }
 
 /** {"sampler.method": "rk4"} from {sampler: {method: "rk4"}}. */

@@ -1,7 +1,7 @@
 /**
- * The simulated robot: it follows an anchor while the page asks again ten times a second.
+ * The simulated robot: it follows an anchor while people walk and the page asks again ten times a second.
  *
- * It keeps its plan until the map, the goal or the options change or the service finds no safe way;
+ * It keeps its plan until the map, the goal, the people's velocities or the options change or the service finds no safe way;
  * then it takes the best anchor of the newest response. If it took every new anchor, it would slow
  * down for ever with anchors that all span the horizon, and change its mind at every tie with
  * anchors that have their own duration.
@@ -120,6 +120,7 @@ export class Robot {
   #since = 0;
   #heardAt = 0;
   #shownAt = 0;
+  #walkedAt = 0;
   #answerTimes = [];
 
   /** `ask()` sends the next request; `onFrame(note)` is called for each frame. */
@@ -132,7 +133,7 @@ export class Robot {
     this.active = true;
     this.home = { ...this.scene.start };
     this.#plan = new Stop(this.home, this.scene.limits);
-    this.#since = this.#heardAt = now;
+    this.#since = this.#heardAt = this.#walkedAt = now;
     this.#answerTimes = [];
     this.numTaken = 0;
     this.stage.show.trail = [];
@@ -151,6 +152,7 @@ export class Robot {
   /** A request from the robot's own state, with the rest of its plan as a warm start while that holds. */
   question() {
     const at = performance.now();
+    this.#letWalk(at);
     const body = this.scene.request(this.#state(at));
     if (this.#holds && this.scene.dim === 2) {
       body.warm_start = { ...this.#plan.rest((at - this.#since) / 1e3), tau: WARM_START_TAU };
@@ -222,6 +224,7 @@ export class Robot {
     if (now - this.#shownAt < FRAME_MS) return;
     this.#shownAt = now;
     if (now - this.#heardAt > MAX_SILENCE_MS || this.#isOver(now)) this.#brake(now);
+    this.#letWalk(now);
     const robot = this.#state(now);
     const { x, y, vx, vy } = robot;
     this.scene.start = { x, y, vx, vy };
@@ -230,6 +233,12 @@ export class Robot {
     if (this.#hasArrived(robot)) this.#turnBack();
     this.onFrame(this.#note(robot));
     this.stage.drawTop();
+  }
+
+  /** People walk while the robot drives. */
+  #letWalk(now) {
+    this.scene.walk((now - this.#walkedAt) / 1e3);
+    this.#walkedAt = now;
   }
 
   #leaveTrail({ x, y }) {

@@ -1,6 +1,7 @@
 /** The scene that is asked: a map, a start, a goal, a style and the options of the form. */
 
 import { placeEnds } from "./grid.js";
+import { toRequest, walk } from "./people.js";
 
 /** The named styles of the contract: weights of safety, energy and smoothness. */
 export const STYLES = {
@@ -20,11 +21,13 @@ const TYPICAL_DURATION = 8;
 /** Share of v_max · horizon_s that the way between start and goal may take. */
 const EASY_SHARE = 0.5;
 
-/** Calls its listeners with "map", "ends" or "options" when a response to the old scene is outdated. */
+/** Calls its listeners with "map", "ends", "people" or "options" when a response to the old scene is outdated. */
 export class Scene {
   /** m, m/s: {x, y, vx, vy} */
   start = { x: 0, y: 0, vx: 0, vy: 0 };
   goal = { x: 0, y: 0, vx: 0, vy: 0 };
+  /** Who walks there: {x, y, vx, vy, radius} each. */
+  people = [];
   style = STYLES.balanced;
   /** Fields of the form by path. */
   options = {};
@@ -70,8 +73,8 @@ export class Scene {
   }
 
   /** Another map, with a start and a goal that fit it unless they are given. */
-  useMap(grid, ends) {
-    this.grid = grid;
+  useMap(grid, ends, people = []) {
+    Object.assign(this, { grid, people });
     const { robot_radius: radius, v_max: fastest, horizon_s: horizon } = this.limits;
     const reach = EASY_SHARE * fastest * (horizon ?? TYPICAL_DURATION);
     Object.assign(this, ends ?? placeEnds(grid, { radius, reach }));
@@ -88,16 +91,17 @@ export class Scene {
     return this.#undo.length > 0;
   }
 
-  /** Keep the map for `undo`, before cells change. */
+  /** Keep the map and the people for `undo`, before they change. */
   remember() {
-    this.#undo.push(this.grid.snapshot());
+    this.#undo.push({ map: this.grid.snapshot(), people: this.people.map((person) => ({ ...person })) });
     if (this.#undo.length > MAX_UNDO) this.#undo.shift();
   }
 
   undo() {
     const before = this.#undo.pop();
     if (!before) return;
-    this.grid.restore(before);
+    this.grid.restore(before.map);
+    this.people = before.people;
     this.changed("map");
   }
 
@@ -111,6 +115,11 @@ export class Scene {
     return "";
   }
 
+  /** Let people walk; a turn is a change that no plan has foreseen. */
+  walk(seconds) {
+    if (walk(this.people, seconds, this.grid)) this.version++;
+  }
+
   /** The fields of POST /anchors. `state`: {x, y, vx, vy, ax, ay} in place of the start. */
   request(state = this.start) {
     const { card, goal, grid } = this;
@@ -121,6 +130,7 @@ export class Scene {
       x_curr: [...this.#vector([x, y], heading), ...this.#vector([vx, vy]), ...this.#vector([ax, ay])],
       x_goal: [...this.#vector([goal.x, goal.y], heading), ...this.#vector([goal.vx, goal.vy])],
       w_style: this.style,
+      ...toRequest(this.people),
       model: card.name,
       ...this.fields.toRequest(this.options, card),
     };

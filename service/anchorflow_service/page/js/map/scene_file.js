@@ -6,7 +6,7 @@ import { Grid, OCCUPIED, SOFT_LAYERS } from "./grid.js";
 import { STYLES } from "./scene.js";
 
 /** Fields that the page can ask beside those of the form. */
-const CARRIED = ["cost_map", "x_curr", "x_goal", "w_style"];
+const CARRIED = ["cost_map", "x_curr", "x_goal", "w_style", "obstacles"];
 /** Channels of a map that the page paints. */
 const CHANNELS = 1 + Object.keys(SOFT_LAYERS).length;
 /** How the drawing of a program tells tenths of a channel. */
@@ -20,7 +20,7 @@ export function toJson({ cost_map: { data, ...place }, ...rest }) {
 }
 
 /**
- * {card, grid, ends, style, options, left} of a scene file, for the bundle that it names if `bundles`
+ * {card, grid, ends, people, style, options, left} of a scene file, for the bundle that it names if `bundles`
  * has it, else for `chosen`; `left` names what the page cannot ask. Throws an Error that names the file.
  */
 export function readScene(name, text, chosen, bundles, fields) {
@@ -73,7 +73,8 @@ function fromRequest(request, card, fields) {
   if (request.cost_map.data.length > CHANNELS) left.push(`cost_map beyond its channel ${CHANNELS - 1}`);
   if (request.cost_map.channel_weights) left.push("cost_map.channel_weights");
   if (dim === 3) left.push("headings");
-  return { grid, ends: { start, goal: end(goal) }, style, options, left };
+  const people = readPeople(request.obstacles, left);
+  return { people, grid, ends: { start, goal: end(goal) }, style, options, left };
 }
 
 function numbers(values, field, count) {
@@ -94,6 +95,19 @@ function readGrid({ data, resolution, origin } = {}) {
     data[k + 1]?.forEach((row, r) => row.forEach((value, c) => { if (value !== neutral) grid.setSoft(name, r, c, Math.abs(neutral - value)); }));
   });
   return grid;
+}
+
+/** People with the velocity of their forecast's first leg if they have one; `left` gets what they lose. */
+function readPeople({ position = [], velocity, radius = [], forecast, forecast_dt: dt, growth } = {}, left) {
+  if (forecast) left.push("obstacles.forecast");
+  if (growth) left.push("obstacles.growth");
+  if (!Array.isArray(position) || radius?.length !== position.length) throw new Error(`obstacles.radius: expected as many as positions, got ${described(radius)}.`);
+  return position.map((place, k) => {
+    const [x, y] = numbers(place, "obstacles.position", 2);
+    const [vx, vy] = forecast ? numbers(forecast[k]?.[0], "obstacles.forecast", 2).map((value, axis) => (value - place[axis]) / dt)
+      : numbers(velocity?.[k], "obstacles.velocity", 2);
+    return { x, y, vx, vy, radius: numbers([radius[k]], "obstacles.radius", 1)[0] };
+  });
 }
 
 /** Weights that sum to 1; undefined if the request gives no style. */

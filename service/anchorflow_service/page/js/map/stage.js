@@ -4,15 +4,18 @@
  * Cells and anchors are kept on layers of their own, which are drawn again only after a change.
  */
 
-import { Surface, circle, drawAnchors, stroke } from "../drawing.js";
+import { Surface, anchorColour, circle, drawAnchors, stroke } from "../drawing.js";
 import { clamp } from "../dom.js";
 import { OCCUPIED, UNKNOWN } from "./grid.js";
+import { placeAt } from "./people.js";
 
 /** Opacity of ground of soft cost 1. */
 const DEAREST = 0.75;
 /** m of arrow for each m/s, and px between a point and the foot of its arrow. */
 const ARROW_M_PER_MPS = 0.45;
 const ARROW_FOOT_PX = 13;
+/** px of the dot on an anchor where the robot would be at the time of the time bar. */
+const DOT_PX = 2.5;
 
 export class Stage extends Surface {
   /** px of an anchor. */
@@ -30,6 +33,9 @@ export class Stage extends Surface {
       path: null,
       /** {x, y, radius, erase}, m. */
       brush: null,
+      /** s from now at which people and the robot are drawn too, or null, and the greatest. */
+      time: null,
+      longest: 0,
     });
     this.resize();
   }
@@ -66,13 +72,13 @@ export class Stage extends Surface {
     return [left + length * Math.cos(direction), top - length * Math.sin(direction)];
   }
 
-  /** The velocity [vx, vy] whose arrow ends at a point in CSS pixels. */
-  arrowVelocity(end, left, top) {
+  /** The velocity [vx, vy] whose arrow ends at a point in CSS pixels, at most `fastest` m/s. */
+  arrowVelocity(end, left, top, fastest = this.scene.limits.v_max) {
     const [footLeft, footTop] = this.toScreen(end.x, end.y);
     const [dx, dy] = [left - footLeft, footTop - top];
     const length = Math.hypot(dx, dy);
     const speed = Math.max(0, length - 2 * ARROW_FOOT_PX) / (ARROW_M_PER_MPS * this.scale);
-    const share = clamp(speed, 0, this.scene.limits.v_max) / (length || 1);
+    const share = clamp(speed, 0, fastest) / (length || 1);
     return [dx * share, dy * share];
   }
 
@@ -110,6 +116,8 @@ export class Stage extends Surface {
     this.#paintEnd(scene.goal, colours.goal);
     if (show.robot) this.#paintRobot(show.robot);
     else this.#paintEnd(scene.start, colours.start);
+    for (const person of scene.people) this.#paintPerson(person);
+    if (show.time && show.anchors && !show.stale) this.#paintAnchorsAt(show.time);
     if (show.brush) this.#paintBrush(show.brush);
     return true;
   }
@@ -187,6 +195,29 @@ export class Stage extends Surface {
     const dash = Math.hypot(end.vx, end.vy) > 1e-6 ? [] : [1, 4];
     stroke(this.context, [place, this.arrowTip(end)], { colour, width: 2, dash });
     circle(this.context, place, this.scene.options.robot_radius * this.scale, { colour, width: 1, opacity: 0.5 });
+  }
+
+  /** Now with the velocity's arrow, and later along the track: a disc each. */
+  #paintPerson(person) {
+    const { context, colours: { person: colour, card }, show: { time, longest } } = this;
+    const radius = person.radius * this.scale;
+    const place = this.toScreen(person.x, person.y);
+    const isWalking = Math.hypot(person.vx, person.vy) > 1e-6;
+    if (isWalking && time !== null) stroke(context, [place, this.toScreen(...placeAt(person, longest))], { colour, width: 1.5, dash: [2, 5], opacity: 0.7 });
+    stroke(context, [place, this.arrowTip(person)], { colour, width: 2, dash: isWalking ? [] : [1, 4] });
+    circle(context, place, radius, { fill: colour, colour, width: 1, opacity: time ? 0.3 : 0.85 });
+    if (time) circle(context, this.toScreen(...placeAt(person, time)), radius, { fill: colour, colour: card, width: 2 });
+  }
+
+  /** Where each safe anchor is at a time, and the robot on the one in focus. */
+  #paintAnchorsAt(time) {
+    const { context, colours, show: { anchors, colourBy, focus } } = this;
+    for (const n of [...anchors.order].reverse()) {
+      if (!anchors.safe[n]) continue;
+      const { x, y } = anchors.at(n, time);
+      circle(context, this.toScreen(x, y), DOT_PX, { fill: anchorColour(this, anchors, colourBy, n), colour: colours.outline, width: 1 });
+    }
+    this.#paintRobot(anchors.at(focus ?? anchors.best, time));
   }
 
   #paintRobot({ x, y, vx, vy }) {

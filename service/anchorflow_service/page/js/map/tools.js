@@ -1,16 +1,20 @@
-/** What the pointer and the keyboard do on the map: paint, erase and push what is there, move the ends. */
+/** What the pointer and the keyboard do on the map: paint, erase and push what is there, put people, move ends and people. */
 
-import { byId, clamp, showFill } from "../dom.js";
+import { byId, clamp, make, showFill } from "../dom.js";
 import { FREE, OCCUPIED } from "./grid.js";
+import { MAX_PACE, MAX_PEOPLE, RADIUS } from "./people.js";
 
-const TOOL_KEYS = { b: "paint", e: "erase", v: "move" };
+const TOOL_KEYS = { b: "paint", e: "erase", v: "move", p: "person" };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 /** m or m/s that an arrow key moves an end or its velocity; Shift makes it five times as much. */
 const KEY_STEP = 0.1;
 const SHIFT_STEPS = 5;
 const [MIN_BRUSH, MAX_BRUSH] = [0.1, 1.6];
 
-/** Tools on the canvas; `onHover(left, top)` gets the place of an idle pointer, null if it leaves. */
+/**
+ * Tools on the canvas; `onHover(left, top)` gets the place of an idle pointer, null if it leaves, and
+ * `onPerson()` is called when a person was put on the map, the last of the scene's.
+ */
 export class Painting {
   tool = "paint";
   /** Radius in m. */
@@ -22,8 +26,8 @@ export class Painting {
   #cursor = null;
   #stroke = null;
 
-  constructor(stage, scene, onHover) {
-    Object.assign(this, { stage, scene, onHover });
+  constructor(stage, scene, { onHover, onPerson }) {
+    Object.assign(this, { stage, scene, onHover, onPerson });
     const listeners = {
       pointerdown: (event) => this.#begin(event),
       pointermove: (event) => this.#move(event),
@@ -85,6 +89,9 @@ export class Painting {
       if (!cells.length) return;
       this.scene.remember();
       this.#stroke = { pointer, cells, before: grid.cells.slice(), from, moved: [0, 0] };
+    } else if (this.tool === "person") {
+      if (!this.#put(at)) return;
+      this.#stroke = { pointer, person: this.scene.people.at(-1) };
     } else {
       this.scene.remember();
       this.#stroke = { pointer, last: at, value: this.#value(this.#erases(event)) };
@@ -101,6 +108,10 @@ export class Painting {
       this.onHover(...this.#place(event));
     } else if (this.#stroke.cells) {
       this.#push(at);
+    } else if (this.#stroke.person) {
+      const { person } = this.#stroke;
+      [person.vx, person.vy] = this.stage.arrowVelocity(person, ...this.#place(event), MAX_PACE);
+      this.scene.changed("people");
     } else {
       for (const point of event.getCoalescedEvents?.() ?? [event]) this.#paintTo(this.#where(point));
       this.#showBrush(at, this.#stroke.value === FREE);
@@ -108,7 +119,9 @@ export class Painting {
   }
 
   #end(event) {
-    if (this.#stroke?.pointer === event.pointerId) this.#stroke = null;
+    if (this.#stroke?.pointer !== event.pointerId) return;
+    if (this.#stroke.person) this.onPerson();
+    this.#stroke = null;
   }
 
   #leave() {
@@ -118,9 +131,20 @@ export class Painting {
   }
 
   #paintTo(at) {
-    this.scene.grid.stroke(this.#stroke.last, at, this.brush, this.#stroke.value, this.layer);
+    const { scene, brush } = this;
+    scene.grid.stroke(this.#stroke.last, at, brush, this.#stroke.value, this.layer);
+    if (this.#stroke.value === FREE) scene.people = scene.people.filter(({ x, y, radius }) => Math.hypot(x - at[0], y - at[1]) > radius + brush);
     this.#stroke.last = at;
     this.scene.changed("map");
+  }
+
+  /** Put a person at rest on the map; returns whether there is room for one more. */
+  #put([x, y]) {
+    if (this.scene.people.length === MAX_PEOPLE) return false;
+    this.scene.remember();
+    this.scene.people.push({ x, y, vx: 0, vy: 0, radius: RADIUS });
+    this.scene.changed("people");
+    return true;
   }
 
   /** Move the obstacle under the pointer by whole cells. */
@@ -136,7 +160,7 @@ export class Painting {
     this.scene.changed("map");
   }
 
-  /** Arrow keys move a cursor, Space and Enter paint or erase under it. */
+  /** Arrow keys move a cursor, Space and Enter paint, erase or put a person under it. */
   #key(event) {
     const { grid, start } = this.scene;
     if (event.key in ARROWS) {
@@ -149,6 +173,10 @@ export class Painting {
     } else if (event.key === " " || event.key === "Enter") {
       event.preventDefault();
       if (!this.#cursor || this.tool === "move") return;
+      if (this.tool === "person") {
+        if (this.#put(this.#cursor)) this.onPerson();
+        return;
+      }
       this.scene.remember();
       grid.stroke(this.#cursor, this.#cursor, this.brush, this.#value(this.tool === "erase"), this.layer);
       this.scene.changed("map");
@@ -168,7 +196,8 @@ export class Painting {
   }
 
   #showBrush(at, erase) {
-    this.stage.show.brush = at && { x: at[0], y: at[1], radius: this.brush, erase };
+    const radius = this.tool === "person" ? RADIUS : this.brush;
+    this.stage.show.brush = at && { x: at[0], y: at[1], radius, erase };
     this.stage.drawTop();
   }
 
@@ -195,36 +224,61 @@ export class Painting {
 
 const steps = ({ key, shiftKey }, step) => ARROWS[key].map((sign) => sign * step * (shiftKey ? SHIFT_STEPS : 1));
 
-/** Start, goal and the tips of their velocity arrows: buttons over the canvas that one drags. */
+/** Start, goal, people and the tips of their velocity arrows: buttons over the canvas that one drags. */
 export class Handles {
   constructor(stage, scene) {
     Object.assign(this, { stage, scene });
     this.handles = [...document.querySelectorAll("[data-handle]")].map((button) => {
       const [end, tip] = button.dataset.handle.split("-");
-      return { button, name: end === "start" ? "Start" : "Goal", end: () => scene[end], isTip: Boolean(tip) };
+      return this.#listen({ button, name: end === "start" ? "Start" : "Goal", end: () => scene[end], isTip: Boolean(tip) });
     });
-    for (const handle of this.handles) {
-      handle.button.addEventListener("pointerdown", (event) => this.#drag(event, handle));
-      handle.button.addEventListener("keydown", (event) => this.#key(event, handle));
-    }
+    /** Two each, the person and the velocity. */
+    this.people = [];
     scene.onChange(() => this.place());
+  }
+
+  /** Select the last person. */
+  selectLast() {
+    this.people.at(-2).button.focus();
+  }
+
+  #listen(handle) {
+    handle.button.addEventListener("pointerdown", (event) => this.#drag(event, handle));
+    handle.button.addEventListener("keydown", (event) => this.#key(event, handle));
+    return handle;
+  }
+
+  /** As many buttons as there are people. */
+  #matchPeople() {
+    const { scene, people } = this;
+    for (let k = people.length / 2; k < scene.people.length; k++) {
+      for (const isTip of [false, true]) {
+        const button = make("button", { type: "button", className: `handle person${isTip ? " tip" : ""}` });
+        button.dataset.handle = `person-${k + 1}${isTip ? "-velocity" : ""}`;
+        byId("people").append(button);
+        people.push(this.#listen({ button, name: `Person ${k + 1}`, end: () => scene.people[k], isTip, person: k }));
+      }
+    }
+    for (const { button } of people.splice(2 * scene.people.length)) button.remove();
   }
 
   /** Move the buttons to where the ends are. */
   place() {
     const { stage, scene } = this;
     if (!scene.grid || !stage.width) return;
-    for (const { button, name, end, isTip } of this.handles) {
+    this.#matchPeople();
+    for (const { button, name, end, isTip, person } of [...this.handles, ...this.people]) {
       const { x, y, vx, vy } = end();
       const [left, top] = isTip ? stage.arrowTip(end()) : stage.toScreen(x, y);
       button.style.transform = `translate(${clamp(left, 8, stage.width - 8)}px, ${clamp(top, 8, stage.height - 8)}px)`;
       const text = (isTip ? [vx, vy] : [x, y]).map((number) => number.toFixed(2)).join(", ");
       button.setAttribute("aria-label", `${name} ${isTip ? "velocity" : "position"} ${text} ${isTip ? "m/s" : "m"}`);
-      button.title = isTip ? `${name} velocity: drag the tip` : `${name}: drag it`;
+      button.title = isTip ? `${name} velocity: drag the tip` : `${name}: drag it${person === undefined ? "" : ", or press Delete"}`;
     }
   }
 
-  #drag(event, { button, end, isTip }) {
+  #drag(event, { button, end, isTip, person }) {
+    button.focus({ focusVisible: false });
     button.setPointerCapture(event.pointerId);
     const board = byId("board");
     const frame = board.getBoundingClientRect();
@@ -236,23 +290,37 @@ export class Handles {
     button.addEventListener("pointermove", (move) => {
       const left = move.clientX - slip[0] - frame.left - board.clientLeft;
       const top = move.clientY - slip[1] - frame.top - board.clientTop;
-      if (isTip) this.#setVelocity(end(), this.stage.arrowVelocity(end(), left, top));
+      if (!end()) done.abort(); // deleted meanwhile
+      else if (isTip) this.#setVelocity(end(), this.stage.arrowVelocity(end(), left, top, this.#fastest(person)));
       else this.#setPosition(end(), this.stage.toWorld(left, top));
     }, { signal });
     for (const type of ["pointerup", "pointercancel"]) button.addEventListener(type, () => done.abort(), { signal });
   }
 
-  #key(event, { end, isTip }) {
+  #key(event, { end, isTip, person }) {
+    if (person !== undefined && (event.key === "Delete" || event.key === "Backspace")) this.#remove(person);
     if (!(event.key in ARROWS)) return;
     event.preventDefault();
     const [dx, dy] = steps(event, KEY_STEP);
     const { x, y, vx, vy } = end();
     if (isTip) {
-      const share = Math.min(1, this.scene.limits.v_max / (Math.hypot(vx + dx, vy + dy) || 1));
+      const share = Math.min(1, this.#fastest(person) / (Math.hypot(vx + dx, vy + dy) || 1));
       this.#setVelocity(end(), [(vx + dx) * share, (vy + dy) * share]);
     } else {
       this.#setPosition(end(), [x + dx, y + dy]);
     }
+  }
+
+  /** The next person is selected then. */
+  #remove(person) {
+    this.scene.remember();
+    this.scene.people.splice(person, 1);
+    this.scene.changed("people");
+    (this.people.length ? this.people.at(2 * person) ?? this.people.at(-2) : { button: this.stage.canvas }).button.focus();
+  }
+
+  #fastest(person) {
+    return person === undefined ? this.scene.limits.v_max : MAX_PACE;
   }
 
   #setPosition(end, point) {

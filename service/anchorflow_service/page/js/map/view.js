@@ -7,6 +7,7 @@ import { plan } from "../service.js";
 import { listenForCopies, listenForDrops, toCurl } from "../share.js";
 import { AnchorView } from "../view.js";
 import { readMap } from "./map_files.js";
+import { TimeBar } from "./people.js";
 import { Replay } from "./replay.js";
 import { Robot } from "./robot.js";
 import { sampleMap } from "./samples.js";
@@ -33,7 +34,11 @@ export class MapView extends AnchorView {
     super(new Stage(byId("canvas"), scene), byId("legend"));
     Object.assign(this, { planner, form, bundles, scene });
     this.handles = new Handles(this.surface, scene);
-    this.painting = new Painting(this.surface, scene, (left, top) => this.#hover(left, top));
+    this.painting = new Painting(this.surface, scene, {
+      onHover: (left, top) => this.#hover(left, top),
+      onPerson: () => this.handles.selectLast(),
+    });
+    this.timeBar = new TimeBar(this.surface, scene);
     this.bubble = new Bubble(this.surface, scene);
     this.style = new StyleControl((style) => this.#set({ style }));
     this.replay = new Replay(this.surface, () => press("replay", false, "Replay the flow"));
@@ -85,6 +90,7 @@ export class MapView extends AnchorView {
     this.active = true;
     this.#rest();
     this.clear();
+    this.timeBar.fit(null);
     this.bubble.clear();
     this.scene.useCard(card);
     this.#showForm();
@@ -131,7 +137,7 @@ export class MapView extends AnchorView {
 
   #changed(what) {
     this.replay.end();
-    if (what !== "ends") this.surface.redraw();
+    if (what === "map" || what === "options") this.surface.redraw();
     if (what === "map") this.kept = null;
     this.surface.drawTop();
     if (this.active && !this.robot.active) this.planner.ask();
@@ -144,6 +150,7 @@ export class MapView extends AnchorView {
     this.#answered = question;
     this.bubble.clear();
     if (this.robot.active) this.robot.take(anchors, question);
+    this.timeBar.fit(Math.max(...anchors.order.map((n) => anchors.duration(n))));
     await this.present(anchors, { card: question.card, sentAt });
   }
 
@@ -192,6 +199,7 @@ export class MapView extends AnchorView {
     this.surface.show.focus = null;
     byId("board").dataset.drive = "";
     press("drive", true, "Stop", "stop");
+    this.timeBar.rewind();
     byId("replay").disabled = true;
     this.robot.begin();
   }
@@ -235,7 +243,7 @@ export class MapView extends AnchorView {
       if (json) this.#openScene(json.name, await json.text());
       else if (files.some(({ name }) => /\.(pgm|png|ya?ml)$/i.test(name))) {
         const { grid, note } = await readMap(files);
-        this.#openMap(grid, undefined, note);
+        this.#openMap(grid, {}, note);
       } else throw new Error(`${files[0].name}: expected .json, .yaml with its picture, .pgm or .png.`);
     } catch (error) {
       byId("scene-note").textContent = error.message;
@@ -244,18 +252,18 @@ export class MapView extends AnchorView {
 
   /** Open a scene for the bundle that it names, if that is served. */
   #openScene(name, text) {
-    const { card, grid, ends, style, options, left } = readScene(name, text, this.card, this.bundles, this.form.fields);
+    const { card, grid, ends, people, style, options, left } = readScene(name, text, this.card, this.bundles, this.form.fields);
     if (card.name !== this.card.name) this.bundles.choose(card);
     else this.scene.useCard(card);
     Object.assign(this.scene.options, options);
     if (style) this.scene.style = style;
-    this.#openMap(grid, ends, `${name} is open.${left.length ? ` Left out: ${left.join(", ")}.` : ""}`);
+    this.#openMap(grid, { ends, people }, `${name} is open.${left.length ? ` Left out: ${left.join(", ")}.` : ""}`);
   }
 
-  #openMap(grid, ends, note) {
+  #openMap(grid, { ends, people }, note) {
     this.#rest();
     byId("sample").value = "own";
-    this.scene.useMap(grid, ends);
+    this.scene.useMap(grid, ends, people);
     this.#showForm();
     byId("scene-note").textContent = note;
   }
