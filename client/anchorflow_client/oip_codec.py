@@ -189,7 +189,9 @@ def _request_tensors(leaves: dict[str, Any]) -> dict[str, NDArray[Any]]:
             what = f"pixels, uint8 [3,H,W], as the binary form carries no {value.format}"
             raise expected(path, what, value)
         tensors[name] = value
-    return dict(sorted(tensors.items(), key=lambda item: -_item_size(item[1])))
+    # No axis of a tensor may be 0: obstacles of which there are none leave only their parameters.
+    sent = {name: tensor for name, tensor in tensors.items() if tensor.size}
+    return dict(sorted(sent.items(), key=lambda item: -_item_size(item[1])))
 
 
 def _item_size(tensor: NDArray[Any]) -> int:

@@ -91,8 +91,12 @@ class Obstacles:
 
     @classmethod
     def from_fields(cls, value: Any) -> "Obstacles":
-        """Check the JSON object."""
+        """Check the JSON object; one without arrays tells that nothing moves now."""
         value = vars(value) if isinstance(value, Obstacles) else value
+        if isinstance(value, Mapping) and not any(
+            value.get(name) is not None for name in _ARRAY_READERS
+        ):
+            value = {**value, "position": [], "velocity": [], "radius": []}
         asked: dict[str, Any] = {"velocity": None}
         asked |= OBSTACLES.read(value, "obstacles", **_ARRAY_READERS)
         size = len(asked["position"])

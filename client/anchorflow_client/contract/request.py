@@ -276,18 +276,12 @@ def _nearest_free(cost_map: CostMap, occupancy: NDArray[np.float32], x: float, y
     return "the nearest free one is at ({:g}, {:g}) m".format(*centres[nearest].round(6))
 
 
-def _obstacles(value: Any) -> Obstacles | None:
-    """Read what moves; None if nothing does."""
-    obstacles = Obstacles.from_fields(value)
-    return obstacles if len(obstacles.position) else None
-
-
 _READERS: dict[str, Callable[[Any], Any]] = {
     **{name: partial(row.read, path=name) for name, row in OPTIONS.items()},
     "sampler": SamplerChoice.from_fields,
     "refine": RefineChoice.from_fields,
     "goal_tolerance": GoalTolerance.from_fields,
-    "obstacles": _obstacles,
+    "obstacles": Obstacles.from_fields,
 }
 
 

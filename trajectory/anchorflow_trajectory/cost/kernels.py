@@ -46,7 +46,6 @@ class Gains(NamedTuple):
     distance: np.floating
     widening: np.floating
     fading: np.floating
-    haste: np.floating
     limit_share: np.floating
     margin: np.floating
     v_max: np.floating
@@ -115,7 +114,7 @@ def cost_of_lanes(
     dim, steps = control.shape[0], len(band.first)
     samples = np.empty((4, dim, LANES), control.dtype)
     ground = np.zeros((2, 3, LANES), control.dtype)
-    pull = np.zeros((4, LANES), control.dtype)
+    pull = np.zeros((2, LANES), control.dtype)
     # |p'|, |p''| and |p'''| times these are shares of the limits.
     pace = np.empty((3, LANES), control.dtype)
     gain = np.empty((2, LANES), control.dtype)  # of |p'|^2 and of |p'''|^2
@@ -133,21 +132,14 @@ def cost_of_lanes(
     slope[:] = real(0.0)
     for t in range(steps):
         sample_lanes(control, lanes, band, t, samples)
-        for m in range(lanes):
-            x, y = samples[0, 0, m], samples[0, 1, m]
-            ground[0, 0, m], ground[0, 1, m], ground[0, 2, m] = look_up(problem.clearance, x, y)
-            if problem.surcharge.values.size > 0:
-                ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
+        _look_up_ground(problem, samples, lanes, ground)
         share = real(t) / real(steps - 1)
         if len(problem.movers.radius) > 0:
-            _charge_movers(problem, style, share, duration, pace, samples, lanes, hinges, pull)
+            _charge_movers(problem, style, share, duration, samples, lanes, hinges, pull)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
         _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
         if len(problem.movers.radius) > 0:
-            for m in range(lanes):
-                for k in range(2):
-                    samples[0, k, m] += pull[k, m]
-                    samples[1, k, m] += pull[2 + k, m]
+            _add_to_slopes(pull, lanes, samples)
         if is_sloped:
             gather_slopes(samples, lanes, band, t, slope)
     share = real(1.0) / real(steps)
@@ -162,6 +154,24 @@ def cost_of_lanes(
         for k in range(control.shape[1]):
             for m in range(lanes):
                 slope[d, k, m] *= share
+
+
+@compiled
+def _look_up_ground(problem: Problem, samples: FloatArray, lanes: int, ground: FloatArray) -> None:
+    """Write value and slopes of clearance and of the surcharge at the samples, [2, 3, LANES]."""
+    for m in range(lanes):
+        x, y = samples[0, 0, m], samples[0, 1, m]
+        ground[0, 0, m], ground[0, 1, m], ground[0, 2, m] = look_up(problem.clearance, x, y)
+        if problem.surcharge.values.size > 0:
+            ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
+
+
+@compiled
+def _add_to_slopes(pull: FloatArray, lanes: int, samples: FloatArray) -> None:
+    """Add slopes by place [2, LANES] to those that the samples have become."""
+    for d in range(2):
+        for m in range(lanes):
+            samples[0, d, m] += pull[d, m]
 
 
 @compiled
@@ -199,21 +209,19 @@ def _charge_movers(
     style: FloatArray,
     share: float,
     duration: FloatArray,
-    pace: FloatArray,
     samples: FloatArray,
     lanes: int,
     hinges: FloatArray,
     pull: FloatArray,
 ) -> None:
-    """Add the cost of how near what moves the samples lie, the more, the quicker.
+    """Add the cost of how near what moves the samples lie; write its slopes by place, [2, LANES].
 
     share: of the duration at which the samples are
-    pull: [4, LANES], its slopes by place and by p'
     """
     gains, discs, real = problem.gains, problem.movers, samples.dtype.type
     legs, far = discs.places.shape[1] - 1, real(np.inf)
     time, comfort = np.empty(LANES, samples.dtype), np.empty(LANES, samples.dtype)
-    scale, haste = np.empty((2, LANES), samples.dtype), np.empty(LANES, samples.dtype)
+    scale = np.empty((2, LANES), samples.dtype)
     x, y = samples[0, 0], samples[0, 1]
     left, right, low, high, first, last = far, -far, far, -far, far, real(0.0)
     for m in range(lanes):
@@ -222,10 +230,6 @@ def _charge_movers(
         scale[0, m] = gains.per_s * duration[m]
         scale[1, m] = scale[0, m] * gains.near * (real(1.0) + style[0, m])
         scale[1, m] /= real(1.0) + gains.fading * time[m]
-        haste[m] = gains.haste * pace[0, m] * pace[0, m]
-        quick = haste[m] * (samples[1, 0, m] ** 2 + samples[1, 1, m] ** 2)
-        scale[1, m] *= real(1.0) + quick
-        haste[m] /= real(1.0) + quick
         left, right = min(left, x[m]), max(right, x[m])
         low, high = min(low, y[m]), max(high, y[m])
         first, last = min(first, time[m]), max(last, time[m])
@@ -255,11 +259,6 @@ def _charge_movers(
             _charge_mover(
                 gains, scale, line, (from_s, until_s), time, comfort, x, y, lanes, hinges, pull
             )
-    for m in range(lanes):
-        # The third row has summed up the cost of nearness, to which haste is a factor.
-        charged = real(2.0) * haste[m] * pull[2, m]
-        hinges[1, m] += charged * (samples[1, 0, m] ** 2 + samples[1, 1, m] ** 2)
-        pull[2, m], pull[3, m] = charged * samples[1, 0, m], charged * samples[1, 1, m]
 
 
 @compiled
@@ -286,7 +285,7 @@ def _charge_mover(
     real = x.dtype.type
     zero, one, two, deepest = real(0.0), real(1.0), real(2.0), real(DEEP)
     cost, later = hinges[0], hinges[1]
-    pull_x, pull_y, closeness = pull[0], pull[1], pull[2]
+    pull_x, pull_y = pull[0], pull[1]
     for m in range(lanes):
         off_x = x[m] - x_0 - speed_x * time[m]
         off_y = y[m] - y_0 - speed_y * time[m]
@@ -300,7 +299,6 @@ def _charge_mover(
         close = near * lack * lack
         charge = touch * deep * (hard + hard - deep) + close
         cost[m] += charge
-        closeness[m] += close
         rate = -two * (touch * deep + near * comfort[m] * lack) / apart
         pull_x[m] += rate * off_x
         pull_y[m] += rate * off_y

@@ -53,7 +53,7 @@ class CostWeights:
     short: float = 4.0
     smooth: float = 1.0
     dear: float = 12.0
-    near: float = 100.0
+    near: float = 40.0
     per_s: float = 0.33  # 1/s, of the time spent near what moves
     collision: float = 400.0
     speed: float = 240.0
@@ -62,7 +62,6 @@ class CostWeights:
     distance: float = 0.5  # m of clearance to what moves from which more is worth nothing, now
     widening: float = 0.1  # m/s by which that distance grows, since tracks are told by guess
     fading: float = 0.2  # 1/s, how fast what moves counts less, the later it is near
-    haste: float = 1.0  # how much more it counts at v_max than at rest
     contrast: float = 3.0  # power to which the style's weights are raised
     limit_share: float = 0.97  # the hinges start at this share of v_max and a_max
 
@@ -133,7 +132,7 @@ class TrajectoryCost:
             dear, dearest = w.dear, float(self.fields.surcharge.values.max())
             w = w.stiffer(max(1.0, dearest / STEEP))
         gains = (w.time, w.safety, w.slow, w.quick, w.short, w.smooth, dear, w.near, w.per_s)
-        gains += (w.collision, w.speed, w.acceleration, w.comfort, w.distance, w.widening, w.fading, w.haste)
+        gains += (w.collision, w.speed, w.acceleration, w.comfort, w.distance, w.widening, w.fading)
         gains += (w.limit_share, self.margin)
         gains += (limits.v_max, limits.a_max, limits.jerk_scale, self.reference_s)
         return Problem(

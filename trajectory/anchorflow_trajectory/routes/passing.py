@@ -24,7 +24,6 @@ from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import CostFields
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
-from anchorflow_trajectory.finish.certificate import path_clearance, required_clearance
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import Discs, place_at
 from anchorflow_trajectory.spline.basis import PLANE, Ends, SplineBasis, Splines
@@ -33,7 +32,7 @@ MOST_WAYS, MOST_OTHERS = 8, 64
 EVASIVE_DIRECTIONS, EVASIVE_TIMES = 12, (0.7, 1.1, 1.8)  # s
 EVASIVE_SHARES = (0.5, 1.0)  # of what a robot covers smoothly from rest to rest in the time
 SMOOTH_REACH, SMOOTH_STOP = 0.17, 1.9  # a quintic's way / (a_max t^2), and its time a_max / speed
-END_ROOM, STAY = 0.2, 0.6  # m that what moves leaves to a place to end at, and s for which it does
+END_ROOM, STAY = 0.15, 0.3  # m that what moves leaves to a place to end at, and s for which it does
 ASIDE, MOST_ASIDE, DIRECTIONS = 0.15, 3.0, 24  # m, m, and places a ring about a goal that is taken
 WHOLE_LATTICE = 2  # routes that get every manoeuvre; the others only slow down and wait
 KEYS_SEED = 1
@@ -167,9 +166,7 @@ def place_to_end(
     offsets = reach[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], -1)
     places = goal + offsets.reshape(-1, 2)
     clear = _is_clear(discs, places, times).any(1)
-    clear &= path_clearance(fields.clearance, places[:, None]) >= required_clearance(
-        fields.clearance, 0.0
-    )
+    clear &= fields.clearance.sample(*places.astype(np.float32).T) >= fields.clearance.resolution
     clear &= np.linalg.norm(places - about, axis=-1) <= within
     return places[clear.argmax()] if clear.any() else goal
 
