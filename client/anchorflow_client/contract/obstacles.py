@@ -96,7 +96,7 @@ class Obstacles:
         if isinstance(value, Mapping) and not any(
             value.get(name) is not None for name in _ARRAY_READERS
         ):
-            value = {**value, "position": [], "velocity": [], "radius": []}
+            value = {**value, "position": [], "velocity": [], "radius": [], "forecast_dt": None}
         asked: dict[str, Any] = {"velocity": None}
         asked |= OBSTACLES.read(value, "obstacles", **_ARRAY_READERS)
         size = len(asked["position"])
@@ -106,6 +106,9 @@ class Obstacles:
                 what = f"expected M = {size} as in obstacles.position, got {came}"
                 raise InvalidRequest(what, f"obstacles.{name}")
         _check_motion(asked)
+        if not size:  # one form of it, however it was told
+            growth = asked.get("growth", 0.0)
+            return cls(asked["position"], asked["position"], asked["radius"], growth=growth)
         return cls(**asked)
 
     def later(self, seconds: float) -> "Obstacles":
