@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from crowd_judge import Crowd
 
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights, TrajectoryCost
 from anchorflow_trajectory.motion import TURN, MotionLimits
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.spline.basis import Splines
 
 GAINS = (
@@ -36,11 +38,15 @@ FAST = 2.0  # s, in which disturbed curves break every limit
 @pytest.fixture
 def make_cost(stage: Any) -> Callable[..., TrajectoryCost]:
     def make(
-        style: np.ndarray, *, risky: bool = True, weights: CostWeights | None = None
+        style: np.ndarray,
+        *,
+        risky: bool = True,
+        weights: CostWeights | None = None,
+        movers: MovingDiscs | None = None,
     ) -> TrajectoryCost:
         return TrajectoryCost(
             stage.basis,
-            stage.fields(risky=risky),
+            replace(stage.fields(risky=risky), movers=movers),
             stage.limits,
             style,
             REFERENCE_S,
@@ -129,6 +135,59 @@ def test_the_whole_gradient_equals_finite_differences(
 ) -> None:
     splines = stage.disturbed(6, stage.moving, spread=1.0, duration=FAST)
     assert_gradient(make_cost(style), with_heading(splines))
+
+
+def crowd(kind: str) -> tuple[Crowd, MovingDiscs]:
+    """Twelve discs about both ends of the stage, which the curves meet and touch."""
+    rng = np.random.default_rng(6)
+    position, radius = rng.uniform([0.5, 2.2], [6.0, 4.2], (12, 2)), rng.uniform(0.3, 0.6, 12)
+    velocity = rng.normal(0.0, 0.8, (12, 2))
+    if kind == "velocity":
+        return (
+            Crowd.of(position, velocity, radius, growth=0.1),
+            MovingDiscs.of(position, velocity, radius, growth=0.1),
+        )
+    ahead = position[:, None] + np.cumsum(rng.normal(0.0, 0.3, (12, 4, 2)), axis=1)
+    told: dict[str, Any] = {"forecast": ahead, "forecast_dt": 0.37, "growth": 0.05}
+    return Crowd.of(position, None, radius, **told), MovingDiscs.of(position, None, radius, **told)
+
+
+@pytest.mark.parametrize("style", STYLES, ids=str)
+@pytest.mark.parametrize("kind", ["velocity", "forecast"])
+def test_nearness_to_what_moves_costs_what_the_docstring_says(
+    make_cost: Callable[..., TrajectoryCost], stage: Any, kind: str, style: np.ndarray
+) -> None:
+    discs, movers = crowd(kind)
+    problem = make_cost(style, movers=movers)
+    splines = stage.disturbed(6, stage.moving, spread=1.0, duration=FAST)
+    w, lean = problem.weights, (style**3 / (style**3).sum())[0]
+    expected = []
+    for control, lasting in zip(splines.control.swapaxes(0, 1), splines.duration, strict=True):
+        path = (control @ stage.basis.position.T.astype(float)).T
+        time = np.linspace(0.0, lasting, len(path))
+        apart = np.linalg.norm(path - discs.places(time), axis=-1)
+        gap = apart - discs.radius[:, None] - discs.growth * time
+        hard = np.maximum(problem.margin - gap, 0.0)
+        lack = np.maximum(1.0 - gap / (w.distance + w.widening * time), 0.0)
+        near = w.near * (1.0 + lean) / (1.0 + w.fading * time) * lack**2
+        touch = w.collision * np.where(hard > 0.25, 0.25 * (2 * hard - 0.25), hard**2)
+        assert (hard > 0.25).any()
+        expected.append(w.per_s * lasting * (near + touch).sum(0).mean())
+    found = problem.value(splines) - replace(problem, fields=stage.fields(risky=True)).value(splines)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", ["velocity", "forecast"])
+@pytest.mark.parametrize("gain", ["near", "collision"])
+def test_the_gradient_with_what_moves_equals_finite_differences(
+    make_cost: Callable[..., TrajectoryCost], stage: Any, gain: str, kind: str, dim: int
+) -> None:
+    weights = replace(only(gain), near=CostWeights().near if gain == "near" else 0.0)
+    _, movers = crowd(kind)
+    problem = make_cost(STYLES[3], risky=False, weights=weights, movers=movers)
+    splines = stage.disturbed(6, stage.moving, spread=1.0, duration=FAST)
+    assert_gradient(problem, with_heading(splines) if dim == 3 else splines)
 
 
 def assert_gradient(problem: TrajectoryCost, splines: Splines) -> None:
