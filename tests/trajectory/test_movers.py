@@ -87,9 +87,17 @@ def test_it_stops_below_what_is_enough_and_tells_no_more_than_asked() -> None:
     assert 1.5 - 1e-3 <= moving_clearance(discs, path, 5.0, 2.0, 2.0) < 2.0
 
 
-def test_a_motion_without_numbers_has_no_clearance() -> None:
-    movers = MovingDiscs.of(np.zeros((1, 2)), np.ones((1, 2)), np.full(1, 0.5))
+@pytest.mark.parametrize("legs", [1, 3])
+@pytest.mark.parametrize("at", [0, 7, 63])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_motion_without_numbers_has_no_clearance(value: float, at: int, legs: int) -> None:
+    movers = MovingDiscs.of(
+        np.full((1, 2), 9.0),
+        None,
+        np.full(1, 0.5),
+        forecast=np.full((1, legs, 2), 9.0),
+        forecast_dt=1,
+    )
     path = np.zeros((64, 2))
-    path[7, 1] = np.nan
-    discs = Discs.of(movers, np.float64)
-    assert not moving_clearance(discs, path, 5.0, 0.0, 0.0) >= 0.0
+    path[at, 1] = value
+    assert not moving_clearance(Discs.of(movers, np.float64), path, 5.0, 0.1, 0.1) >= 0.1

@@ -173,7 +173,9 @@ def test_nearness_to_what_moves_costs_what_the_docstring_says(
         touch = w.collision * np.where(hard > 0.25, 0.25 * (2 * hard - 0.25), hard**2)
         assert (hard > 0.25).any()
         expected.append(w.per_s * lasting * (near + touch).sum(0).mean())
-    found = problem.value(splines) - replace(problem, fields=stage.fields(risky=True)).value(splines)
+    found = problem.value(splines) - replace(problem, fields=stage.fields(risky=True)).value(
+        splines
+    )
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 

@@ -15,6 +15,7 @@ DESCENDING = (0.0, 3.0), (0.0, -1.0)
 ONCOMING = (3.0, 0.0), (-1.0, 0.0)
 STANDING = (0.0, 0.0), (0.0, 0.0)
 LATE = (3.0, 20.0), (0.0, -2.0)  # on the goal after 10 s, when every way has long arrived
+OVERTAKING = (-10.0, -1.0), (1.5, 0.0)  # beside the goal after 8.7 s
 
 Motion = tuple[np.ndarray, float]
 Disc = tuple[tuple[float, float], tuple[float, float]]
@@ -45,6 +46,7 @@ CASES = [
     pytest.param(STANDING, LEFT, RIGHT, False, id="left or right of one who stands"),
     pytest.param(STANDING, LEFT, way(9.0, aside=0.6), True, id="two left of one who stands"),
     pytest.param(LATE, FAST, SLOW, True, id="all have arrived before it comes"),
+    pytest.param(OVERTAKING, FAST, way(10.0), True, id="it overtakes on the way or at the goal"),
 ]
 
 
@@ -55,7 +57,11 @@ def discs(disc: Disc, legs: int = 0) -> Discs:
         return Discs.of(MovingDiscs.of(position, velocity, np.full(1, 0.3)), np.float32)
     times = 0.7 * np.arange(1, legs + 1)[:, None]
     movers = MovingDiscs.of(
-        position, None, np.full(1, 0.3), forecast=(position + times * velocity)[None], forecast_dt=0.7
+        position,
+        None,
+        np.full(1, 0.3),
+        forecast=(position + times * velocity)[None],
+        forecast_dt=0.7,
     )
     return Discs.of(movers, np.float32)
 
@@ -75,10 +81,29 @@ def test_ways_are_alike_if_they_pass_on_one_side(
     assert keys(discs(disc, legs), one, other) == keys(discs(disc), one, other)
 
 
+def test_a_turn_of_a_forecast_counts() -> None:
+    """It comes along the way for 2 s, turns, and crosses after 5 s."""
+    ahead = [[-2.5, -3.0], [0.0, -3.0], [0.0, -2.0], [0.0, -1.0]]
+    turning = MovingDiscs.of(
+        np.array([[-5.0, -3.0]]),
+        None,
+        np.full(1, 0.3),
+        forecast=np.array([ahead]),
+        forecast_dt=1.0,
+    )
+    before, also_before, behind, also_behind = keys(
+        Discs.of(turning, np.float32), LESS_FAST, SLOW, way(12.0), way(12.0, aside=-0.3)
+    )
+    assert before == also_before != behind == also_behind
+
+
 def test_each_of_several_discs_counts() -> None:
     """Before or behind each of two who cross at different places and times: three classes."""
     position, velocity = np.array([[-1.0, -2.0], [1.0, -5.0]]), np.array([[0.0, 1.0]] * 2)
     both = Discs.of(MovingDiscs.of(position, velocity, np.full(2, 0.3)), np.float32)
-    found = keys(both, FAST, way(6.2), way(12.0), way(5.9))
-    assert len(set(found[:3])) == 3
-    assert found[3] == found[1] or found[3] == found[0]
+    # The first is on the way after 2 s, the second after 5 s.
+    before_both, between, behind_both, also_between = keys(
+        both, FAST, way(7.2), way(12.0), way(6.6)
+    )
+    assert len({before_both, between, behind_both}) == 3
+    assert between == also_between
