@@ -83,18 +83,15 @@ class Discs(NamedTuple):
         if movers is None:
             return _nothing(np.dtype(dtype))
         if (made := movers.made.get(dtype)) is None:
-            real = np.dtype(dtype).type
             places = np.ascontiguousarray(movers.places, dtype)
-            radius = movers.radius.astype(dtype)
-            made = Discs(places, radius, real(movers.step_s), real(movers.growth))
-            movers.made[dtype] = made
+            numbers = np.array([movers.step_s, movers.growth], dtype)
+            made = movers.made[dtype] = Discs(places, movers.radius.astype(dtype), *numbers)
         return made
 
 
 @cache
 def _nothing(dtype: np.dtype) -> Discs:
-    real = dtype.type
-    return Discs(np.zeros((0, 2, 2), dtype), np.zeros(0, dtype), real(1.0), real(0.0))
+    return Discs(np.zeros((0, 2, 2), dtype), np.zeros(0, dtype), *np.array([1.0, 0.0], dtype))
 
 
 @compiled

@@ -6,7 +6,7 @@ Numbers have the control points' dtype: float32 in the service, float64 in some 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -265,8 +265,8 @@ def _charge_movers(
 def _charge_mover(
     gains: Gains,
     scale: FloatArray,
-    line: tuple[float, float, float, float, float, float],
-    span: tuple[float, float],
+    line: tuple[Any, ...],
+    span: tuple[Any, ...],
     time: FloatArray,
     comfort: FloatArray,
     x: FloatArray,
