@@ -19,6 +19,7 @@ from anchorflow_trajectory.compiled import compiled
 
 SMALL_BULGE = 0.01  # m from the chord of two samples, beyond which a leg is cut
 MOST_PIECES = 64  # of a leg
+UNEVEN = 0.1  # of that unevenness, which a spline of degree 4 leaves the piece by, at most
 BENT = 1.25  # the second derivative inside a leg over that at its ends, at most
 
 
@@ -160,9 +161,10 @@ def _bent_clearance(
 ) -> float:
     """Return the same for one leg and one disc, cut into pieces that are nearly straight.
 
-    In between the second derivative is linear, as in the certificate of what stands still.
+    In between the second derivative is linear, as in the certificate of what stands still, up to
+    what the second differences tell by their own.
     """
-    steps, least = len(path), np.inf
+    steps, least, off = len(path), np.inf, UNEVEN * _unevenness(path, t)
     here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
     pieces = int(min(max(np.ceil(np.sqrt(bulge / SMALL_BULGE)), 1), MOST_PIECES))
     x, y = path[t - 1, 0], path[t - 1, 1]
@@ -176,9 +178,24 @@ def _bent_clearance(
             to_y -= lift * share * (path[which - 1, 1] - 2 * path[which, 1] + path[which + 1, 1])
         begin, end = (t - 1 + (piece - 1) / pieces) * stride, (t - 1 + s) * stride
         chord = _chord_clearance(discs, j, (x, y), (to_x, to_y), begin, end)
-        least = min(least, chord - bulge / (pieces * pieces))
+        least = min(least, chord - bulge / (pieces * pieces) - off)
         x, y = to_x, to_y
     return least
+
+
+@compiled
+def _unevenness(path: FloatArray, t: int) -> float:
+    """Return the greatest second difference [m] of second differences about leg t."""
+    most = 0.0
+    for middle in range(max(t - 2, 2), min(t + 1, len(path) - 3) + 1):
+        square = 0.0
+        for d in range(2):
+            outer = path[middle - 2, d] + path[middle + 2, d]
+            inner = path[middle - 1, d] + path[middle + 1, d]
+            uneven = outer - 4.0 * inner + 6.0 * path[middle, d]
+            square += uneven * uneven
+        most = max(most, square)
+    return np.sqrt(most)
 
 
 @compiled

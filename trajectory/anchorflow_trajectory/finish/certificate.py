@@ -70,7 +70,7 @@ def verify(
     free = clearance >= required_clearance(field, certified_margin)
     if movers is not None:
         assert duration is not None
-        discs, lasting = Discs.of(movers, position.dtype), np.asarray(duration, np.float64)
+        discs, lasting = Discs.of(movers, np.float64), np.asarray(duration, np.float64)
         apart = _moving_clearances(discs, position, lasting)
         free &= apart >= certified_margin + APART
         clearance = np.minimum(clearance, apart)
@@ -141,7 +141,7 @@ class Judge(NamedTuple):
         return Judge(
             basis.band(dtype),
             Grid.of(field, dtype),
-            Discs.of(movers, dtype),
+            Discs.of(movers, np.float64),
             float(required_clearance(field, certified_margin)),
             float(certified_margin + APART),
             float(SPEED_TOLERANCE * limits.v_max),
