@@ -118,7 +118,9 @@ def test_obstacles_are_copied_and_moved_to_the_moment_of_the_state(stage: Stage)
             np.testing.assert_allclose(sent.position, position + later * velocity)
             np.testing.assert_allclose(sent.radius, np.array([0.3, 0.2]) + 0.1 * later)
     stage.cycle(obstacles={"position": [], "velocity": [], "radius": []}, obstacles_age_s=0.2)
-    assert stage.requests[-1].obstacles is None
+    sent = stage.requests[-1].obstacles
+    assert sent is not None
+    assert not len(sent.position)
 
 
 @pytest.mark.parametrize(("age_s", "on_route"), [(0.0, [False, True]), (0.5, [True, True])])
