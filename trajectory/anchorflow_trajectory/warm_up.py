@@ -8,7 +8,7 @@ compiles what a later process then finds on disk.
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -18,6 +18,7 @@ from anchorflow_trajectory.finish.bisection import bisect_to_safe
 from anchorflow_trajectory.finish.certificate import are_safe
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.ode.integrate import drawn
 from anchorflow_trajectory.routes.reachable import connected
 from anchorflow_trajectory.scene import Scene
@@ -43,10 +44,10 @@ class _Everything:
 def compile_loops() -> None:
     """Run them on a small scene: its routes, its finish, and a bisection.
 
-    A second or less where they are found on disk, else about half a minute.
+    A second or less where they are found on disk, else up to two minutes of processor time.
     """
     if not kept():
-        logger.warning("compiling loops for this processor, once: about half a minute")
+        logger.warning("compiling loops for this processor, once: up to two minutes")
     cost_map = np.zeros((3, CELLS, CELLS), np.float32)
     cost_map[0, POST, POST], cost_map[1], cost_map[2, :4] = 1.0, 1.0, 0.5
     scene = Scene(
@@ -63,6 +64,10 @@ def compile_loops() -> None:
     connected(scene.occupied, 0)
     routes = scene.route_splines
     Refiner(scene, steps=1).refine(scene.route_states, np.arange(len(routes)), _Everything())
+    crossing = MovingDiscs.of(np.array([[3.0, 5.0]]), np.array([[0.0, -1.0]]), np.array([0.3]))
+    busy = replace(scene, movers=crossing).among_movers()
+    ways = busy.ways.route
+    Refiner(busy, steps=1).refine(busy.route_states, np.arange(len(ways)), _Everything())
     pair = routes[np.zeros(2, np.intp)]
     safe, route, clearance = (
         np.array([True, False]),
