@@ -97,7 +97,7 @@ class Room(World):
 
     def begin(self) -> None:
         self._rng = rng = np.random.default_rng([self.seed, 1])
-        self._simulator = pyrvo.RVOSimulator()
+        self._simulator = pyrvo.RVOSimulator()  # pyright: ignore[reportAttributeAccessIssue]
         self._simulator.set_time_step(TICK_S)
         for cells in rectangles(self.layout.grid.occupied):
             x0, y0, x1, y1 = (CELL * index for index in cells)
