@@ -235,12 +235,10 @@ class Scene:
                 goal_velocity = speed * ahead
             slowest = motion.least_speed(horizon, begin)
             aside = velocity * (slowest / max(begin, TINY))
-            about, within = (
-                start + 0.5 * horizon * (velocity + aside),
-                motion.most_way(horizon, 0.0),
-            )
+            about = start + 0.5 * horizon * (velocity + aside)
+            within = motion.most_way(horizon, 0.0)
         place = place_to_end(goal, start, self.cost_fields, times, about=about, within=within)
-        if place is self.x_goal[:2] or np.array_equal(place, self.x_goal[:2]):
+        if np.array_equal(place, self.x_goal[:2]):
             return self
         if place is not goal:
             goal_velocity = aside

@@ -192,7 +192,7 @@ class Refiner:
         certified = spec.certified_margin
         finer = self.scene.basis.finer
         for share in (1.0, *YIELDS):
-            refiner = replace(self, scene=self.scene.nearer(share))
+            refiner = self if share == 1.0 else replace(self, scene=self.scene.nearer(share))
             others, cost = refiner.scene.ways.others, refiner.cost(spec)
             assert others is not None
             drawn = others[np.arange(count) % len(others)]
