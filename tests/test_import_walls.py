@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 WALLS: dict[str, set[str]] = {
     "anchorflow_client": {"numpy"},
     "anchorflow_trajectory": {"numba", "numpy"},
+    "anchorflow_control": {"anchorflow_client", "anchorflow_trajectory", "numba", "numpy"},
     "anchorflow_driving": {"anchorflow_client", "numpy", "scipy"},
     "anchorflow_service": {
         "anchorflow_client",
@@ -72,6 +73,7 @@ WALLS: dict[str, set[str]] = {
     "anchorflow_benchmarks": {
         "anchorflow_cli",  # options of commands
         "anchorflow_client",
+        "anchorflow_control",
         "anchorflow_driving",
         "anchorflow_service",
         "anchorflow_training",
@@ -301,7 +303,13 @@ def test_the_client_and_the_service_load_no_zenoh() -> None:
 
 @pytest.mark.parametrize(
     "package",
-    ["anchorflow_client", "anchorflow_trajectory", "anchorflow_driving", "anchorflow_service"],
+    [
+        "anchorflow_client",
+        "anchorflow_trajectory",
+        "anchorflow_control",
+        "anchorflow_driving",
+        "anchorflow_service",
+    ],
 )
 def test_loading_the_package_loads_nothing_heavy_beyond_its_wall(package: str) -> None:
     loaded = loaded_packages(package)
