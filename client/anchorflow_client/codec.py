@@ -91,7 +91,7 @@ def request_fields(request: AnchorRequest) -> dict[str, Any]:
             fields[name] = array if batched else array[0]
     fields["sampler"] = request.sampler and request.sampler.given
     fields["refine"] = request.refine and request.refine.given
-    for name in ("warm_start", "goal_tolerance", "obstacles"):
+    for name in ("warm_start", "goal_tolerance", "obstacles", "kinematics"):
         fields[name] = None if fields[name] is None else _given(fields[name])
     fields["inputs"] = request.inputs or None
     fields["outputs"] = list(request.outputs) or None

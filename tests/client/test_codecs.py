@@ -99,6 +99,13 @@ def requests(draw: st.DrawFn) -> AnchorRequest:
             {"position": st.floats(0, 100)}, optional={"heading": st.floats(0, 3)}
         ),
         "obstacles": obstacles(),
+        "footprint": st.sampled_from(
+            [[[-0.4, -0.3], [0.5, -0.3], [0.5, 0.4], [-0.4, 0.3]], (np.eye(3, 2) - 0.3).tolist()]
+        ),
+        "kinematics": st.fixed_dictionaries(
+            {"kind": st.just("ackermann"), "min_turning_radius": st.floats(0.1, 9)},
+            optional={"omega_max": st.floats(0.1, 9), "reverse": st.booleans()},
+        ),
         "warm_start": st.fixed_dictionaries(
             {"trajectory": st.just([[0.1] * dim, [0.3] * dim]), "tau": st.just(0.7)},
             optional={"dt": st.floats(1e-3, 600)},

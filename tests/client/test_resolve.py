@@ -171,7 +171,11 @@ TURNING = {"x_curr": [-3.0, 0.5, *[0.0] * 7], "x_goal": [3.0, 0.5, *[0.0] * 4]}
 @pytest.mark.parametrize(
     ("dim", "states", "words"),
     [
-        (2, TURNING, r"\[6\] or \[B,6\], as lines 1.2.3 has D = 2, got \[9\]"),
+        (
+            2,
+            TURNING,
+            r"\[6\] or \[B,6\], as lines 1.2.3 has D = 2 without kinematics or footprint, got",
+        ),
         (3, PLANAR, r"\[9\] or \[B,9\], as lines 1.2.3 has D = 3, got \[6\]"),
         (3, {**PLANAR, "x_curr": [PLANAR["x_curr"]] * 5}, r"\[9\] or \[B,9\], .* got \[5,6\]"),
     ],

@@ -33,6 +33,21 @@ BAD_OBSTACLES: list[tuple[str, Any, list[str]]] = [
     ("growth", -1, ["[0, 100] m/s", "-1"]),
     ("mass", [80], ["unknown field"]),
 ]
+SQUARE = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+BAD_BODIES: list[tuple[str, Any, list[str]]] = [
+    ("footprint", [[0, 1], [1, 0]], ["3 to 16 corners", "2"]),
+    ("footprint", [0.3, 0.2], ["[K,2]", "[2]"]),
+    ("footprint", [*SQUARE[:3], [0.5, 0]], ["convex polygon", "0.5"]),
+    ("footprint", [SQUARE[k] for k in (0, 2, 1, 3)], ["convex polygon"]),
+    ("footprint", (np.array(SQUARE) + 3.0).tolist(), ["about (0, 0)"]),
+    ("footprint", [*SQUARE[:3], [-30, 1]], ["[-20, 20] m", "-30"]),
+    ("kinematics", {}, ["required"]),
+    ("kinematics.kind", "tracked", ["one of omni, differential, ackermann", "tracked"]),
+    ("kinematics.min_turning_radius", -1, ["[0, 100] m", "-1"]),
+    ("kinematics.omega_max", 0, ["(0, 100] rad/s", "0"]),
+    ("kinematics.reverse", "no", ["true or false", "'no'"]),
+    ("kinematics", {"kind": "ackermann"}, ["above 0 m for ackermann"]),
+]
 BAD_FIELDS: list[tuple[str, Any, list[str]]] = [
     ("x_curr", [0, 0, 0], ["[6] or [B,6]", "[9] or [B,9]", "[3]"]),
     ("x_curr", [[[0] * 6]], ["[6] or [B,6]", "[1, 1, 6]"]),
@@ -129,6 +144,7 @@ BAD_FIELDS: list[tuple[str, Any, list[str]]] = [
     ("goal_tolerance.position", None, ["required"]),
     ("goal_tolerance", {"position": 1, "heading": 4}, ["heading", "[0, 3.14159] rad", "4"]),
     *((f"obstacles.{name}", value, words) for name, value, words in BAD_OBSTACLES),
+    *BAD_BODIES,
     ("cost_map.data", np.zeros((65, 1, 16, 16)).tolist(), ["B from 1 to 64", "65"]),
     ("cost_map.data", np.full((1, 16, 20), 1.5).tolist(), ["[0, 1]", "1.5"]),
     ("cost_map.data", np.zeros((1, 1, 1, 16, 20)).tolist(), ["deeper"]),
@@ -163,6 +179,8 @@ def with_value(fields: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
         fields["warm_start"] = {"trajectory": [[0, 0], [1, 1]]}
     if parents == ["obstacles"]:
         fields["obstacles"] = dict(TRACK)
+    if parents == ["kinematics"]:
+        fields["kinematics"] = {"kind": "differential"}
     parent = fields
     for key in parents:
         parent = parent.setdefault(key, {})

@@ -1,6 +1,7 @@
 """The contract: what goes into AnchorFlow and what comes out, for client and service alike."""
 
 from anchorflow_client.contract.batch import AnchorBatch as AnchorBatch
+from anchorflow_client.contract.body import Kinematics as Kinematics
 from anchorflow_client.contract.card import (
     AnswerSpec as AnswerSpec,
     CostMapSpec as CostMapSpec,

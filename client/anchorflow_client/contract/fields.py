@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypedDict, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anchorflow_client.contract.body import FOOTPRINT, KINEMATICS, Kinematics
 from anchorflow_client.contract.checks import Interval, numbers, read_only, wrong_shape
 from anchorflow_client.contract.obstacles import OBSTACLES, Obstacles
 from anchorflow_client.contract.ranges import (
@@ -334,6 +335,11 @@ class PlanOptions(TypedDict, total=False):
     robot_radius: Annotated[
         float | None, Number("Radius of the robot; by default the card's.", ROBOT_RADIUS)
     ]
+    footprint: Annotated[ArrayLike | None, FOOTPRINT]
+    kinematics: Annotated[
+        Kinematics | Mapping[str, Any] | None,
+        KINEMATICS,
+    ]
     v_max: Annotated[float | None, Number("Limit of speed; by default the card's.", V_MAX)]
     a_max: Annotated[float | None, Number("Limit of acceleration; by default the card's.", A_MAX)]
     horizon_s: Annotated[
@@ -412,5 +418,14 @@ LIMITS: dict[str, Interval] = {
     "horizon_s": HORIZON,
 }
 """The limits that a request may state, within the ranges of the card."""
-MAP_OPTIONS = (*LIMITS, "cost_penalty", "clear_start", "goal_tolerance", "obstacles")
+BODY_OPTIONS = frozenset(("footprint", "kinematics"))
+"""The options that ask for poses: x, y and heading."""
+MAP_OPTIONS = (
+    *LIMITS,
+    *BODY_OPTIONS,
+    "cost_penalty",
+    "clear_start",
+    "goal_tolerance",
+    "obstacles",
+)
 """The options of a request on a map alone, beside those that `AnchorRequest.build` checks."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anchorflow_client.contract.body import Kinematics, read_footprint
 from anchorflow_client.contract.checks import (
     EVERY_NUMBER,
     expected,
@@ -73,6 +74,8 @@ class AnchorRequest:
     outputs: tuple[str, ...] = ()
     num_samples: int | None = None
     robot_radius: float | None = None
+    footprint: NDArray[np.float64] | None = None
+    kinematics: Kinematics | None = None
     v_max: float | None = None
     a_max: float | None = None
     horizon_s: float | None = None
@@ -146,6 +149,12 @@ class AnchorRequest:
     def from_fields(cls, body: Any) -> AnchorRequest:
         """Build a request from parsed, untrusted JSON. Raises `InvalidRequest`."""
         return cls.build(**fields_of(body, "", REQUEST.fields))
+
+    @property
+    def has_body(self) -> bool:
+        """Whether it asks for poses: it has a footprint, or wheels."""
+        wheels = self.kinematics is not None and self.kinematics.kind != "omni"
+        return wheels or self.footprint is not None
 
     @property
     def on_map(self) -> MapScenes:
@@ -282,6 +291,8 @@ _READERS: dict[str, Callable[[Any], Any]] = {
     "refine": RefineChoice.from_fields,
     "goal_tolerance": GoalTolerance.from_fields,
     "obstacles": Obstacles.from_fields,
+    "footprint": read_footprint,
+    "kinematics": Kinematics.from_fields,
 }
 
 

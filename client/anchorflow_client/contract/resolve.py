@@ -21,6 +21,7 @@ from anchorflow_client.contract.card import (
 )
 from anchorflow_client.contract.checks import choice, vector_shape
 from anchorflow_client.contract.fields import (
+    BODY_OPTIONS,
     DEFAULT_COST_PENALTY,
     DEFAULT_NUM_SAMPLES,
     LIMITS,
@@ -36,6 +37,7 @@ from anchorflow_client.contract.inputs import bind
 from anchorflow_client.contract.request import AnchorRequest
 from anchorflow_client.errors import InvalidRequest
 
+POSE = ("x", "y", "heading")
 DRAWN_SEED_BITS = 53
 """JavaScript and other JSON readers hold integers of so few bits exactly."""
 
@@ -93,6 +95,7 @@ def _conditions(request: AnchorRequest, card: ModelCard) -> dict[str, Any]:
     """Check the fields of the planner's conditioning."""
     if isinstance(card.conditioning, CostMapSpec):
         _check_map_fields(request, card)
+        _refuse_with_body(request)
         limits = _limits(request, card, card.conditioning)
         return {"limits": limits, "warm_start": _warm_start(request.warm_start, limits)}
     _refuse_map_fields(request, card)
@@ -107,13 +110,28 @@ def _check_map_fields(request: AnchorRequest, card: ModelCard) -> None:
         raise InvalidRequest(
             f"unknown to {card.name}, which is asked with {known}", f"inputs.{name}"
         )
-    if request.on_map.dim == card.D:
+    dim = len(POSE) if request.has_body else card.D
+    if request.on_map.dim == dim:
         return
     size = request.x_curr.shape[1]
     got = f"[{request.num_scenes},{size}]" if request.batched else f"[{size}]"
-    shape = vector_shape(STATE_FIELDS * card.D)
-    expected = f"expected shape {shape}, as {card.name} {card.version} has D = {card.D}"
-    raise InvalidRequest(f"{expected}, got {got}", "x_curr")
+    if request.has_body:
+        asks = next(name for name in BODY_OPTIONS if getattr(request, name) is not None)
+        why = f"as {asks} asks for poses, x, y and heading"
+    else:
+        why = f"as {card.name} {card.version} has D = {card.D}"
+        if request.on_map.dim == len(POSE):
+            why += " without kinematics or footprint"
+    shape = vector_shape(STATE_FIELDS * dim)
+    raise InvalidRequest(f"expected shape {shape}, {why}, got {got}", "x_curr")
+
+
+def _refuse_with_body(request: AnchorRequest) -> None:
+    """Refuse what the search of poses has no use for."""
+    for name in ("warm_start", "sampler"):
+        if request.has_body and getattr(request, name) is not None:
+            message = "expected none with a footprint or kinematics, whose poses are not sampled"
+            raise InvalidRequest(message, name)
 
 
 def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:

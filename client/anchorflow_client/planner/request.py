@@ -31,6 +31,7 @@ from anchorflow_client.contract.checks import (
     wrong_shape,
 )
 from anchorflow_client.contract.fields import (
+    BODY_OPTIONS,
     DIMENSIONS,
     GOAL_FIELDS,
     HORIZON,
@@ -241,9 +242,11 @@ def build_request(
         through_speed=0.0 if stop else min(config.through_speed, limits.v_max),
         passage_m=passage_m,
     )
-    warm_start = in_use and in_use.warm_start(
-        seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
-    )
+    warm_start = None
+    if in_use is not None and not BODY_OPTIONS & seen.options.keys():  # poses are not sampled
+        warm_start = in_use.warm_start(
+            seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
+        )
     added = {"budget_ms": budget_ms, "warm_start": warm_start} | dict(seen.options)
     refine = RefineChoice.from_fields(added.get("refine", {}))
     if config.margin_m > 0.0 and refine.certified_margin is None:
