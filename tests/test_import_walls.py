@@ -21,6 +21,7 @@ WALLS: dict[str, set[str]] = {
     "anchorflow_client": {"numpy"},
     "anchorflow_trajectory": {"numba", "numpy"},
     "anchorflow_control": {"anchorflow_client", "anchorflow_trajectory", "numba", "numpy"},
+    "anchorflow_ros": {"anchorflow_client", "anchorflow_control", "numpy"},
     "anchorflow_driving": {"anchorflow_client", "numpy", "scipy"},
     "anchorflow_service": {
         "anchorflow_client",
