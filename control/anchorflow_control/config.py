@@ -20,7 +20,7 @@ INTERVALS = {
     "noise": ABOVE_0,
     "margin": AT_LEAST_0,
     "comfort": ABOVE_0,
-    "switch_gain": AT_LEAST_0,
+    "switch_cost": AT_LEAST_0,
     "off_route": AT_LEAST_0,
     "collision": AT_LEAST_0,
     "nearness": AT_LEAST_0,
@@ -55,9 +55,8 @@ class MppiConfig:
     """m beyond the body; nearer to an obstacle is a collision."""
     comfort: float = 0.3
     """m beyond the margin; from there on nearness costs nothing."""
-    switch_gain: float = 0.15
-    """Share of its cost by which a way round the obstacles has to be better than the present one.
-    """
+    switch_cost: float = 1.0
+    """Cost by which another way round the obstacles has to be better than the one in progress."""
     off_route: float = 1.5
     """m added to the length of anchors off the route of a `Plan`."""
     collision: float = 100.0

@@ -1,8 +1,12 @@
-"""Model predictive path integral control (Williams et al., 2017) that begins from anchors."""
+"""Model predictive path integral control (Williams et al., 2017) that begins from anchors.
+
+At each tick the motion in progress, braking, and motions along anchors are costed. The best of each
+way round the obstacles is disturbed many times, and the weighted mean of that replaces it if it
+costs less. The way in progress is left if another one is better by a margin.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,11 +17,28 @@ from anchorflow_client.contract import AnchorBatch, CostMap, Obstacles
 from anchorflow_client.contract.checks import Interval, number, numbers, wrong_shape
 from anchorflow_client.contract.ranges import COORDINATE, V_MAX
 from anchorflow_client.planner import Plan
+from anchorflow_control.anchor_motions import follow
+from anchorflow_control.body import discs_of
 from anchorflow_control.command import Command
 from anchorflow_control.config import MppiConfig
-from anchorflow_control.robot import Robot, wrapped
+from anchorflow_control.cost_to_go import WayLeft
+from anchorflow_control.dynamics import Limits, step
+from anchorflow_control.guides import Guides
+from anchorflow_control.motions import Motions, braking_controls
+from anchorflow_control.robot import Robot
+from anchorflow_control.rollout import Task, Weights
+from anchorflow_control.sampling import Disturbances, disturb, weigh
+from anchorflow_control.surroundings import MapFields
+from anchorflow_control.ways import ways_of
+
+Floats = NDArray[np.float32]
+Array = NDArray[np.float64]
 
 TICK = Interval(0.0, 1.0, "s", open_low=True)
+HELD, BRAKING, STANDING = 0, 1, 2  # motions without an anchor, and how many there are
+WAYS = 3  # that are disturbed at a tick
+RESERVE_S = 0.5  # beyond the time to stop, in which a motion must not collide
+TOUCH = 1e-3  # m, by which a robot in contact may come nearer
 
 
 class MppiController:
@@ -44,7 +65,21 @@ class MppiController:
         """
         self.robot, self.config = robot, config or MppiConfig()
         self.tick_s = number(tick_s, "tick_s", TICK)
-        self._rng = np.random.default_rng(seed)
+        config = self.config
+        self._discs = discs_of(robot)
+        self._weights = Weights.of(config)
+        self._times = config.dt * np.arange(1, config.steps + 1)
+        self._noise = Disturbances(
+            config.motions, config.steps, dt=config.dt, rng=np.random.default_rng(seed)
+        )
+        self._guides = Guides(config, tick_s=self.tick_s, discs=self._discs)
+        self._fields: MapFields | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Drop the motion in progress: for another goal, or after a move by hand."""
+        self._held = np.zeros((self.config.steps, 2), np.float32)
+        self._guides.reset()
 
     def command(
         self,
@@ -71,53 +106,138 @@ class MppiController:
         Raises:
             InvalidRequest: names the argument, what was expected and what came.
         """
-        # A stand-in: it drives straight to the goal, and looks at nothing else.
-        del cost_map, obstacles, anchors
-        now = numbers(state, "state", COORDINATE, "[5]")
-        if now.shape != (5,):
-            raise wrong_shape("state", "[5]", now)
-        target = numbers(goal, "goal", COORDINATE, "[2]")
-        if target.shape != (2,):
-            raise wrong_shape("goal", "[2]", target)
-        most = (
-            self.robot.v_max if speed_limit is None else number(speed_limit, "speed_limit", V_MAX)
+        now = _vector(state, "state", 5)
+        place = now[:2]
+        limits = Limits.of(
+            self.robot, None if speed_limit is None else number(speed_limit, "speed_limit", V_MAX)
         )
-        u = self._straight(now, target, most)
-        times = self.config.dt * np.arange(1, self.config.steps + 1)
-        way = (
-            u
-            if self.robot.kind == "omni"
-            else u[0] * np.array([math.cos(now[2]), math.sin(now[2])])
+        fields = self._fields_of(cost_map)
+        moving = None if obstacles is None else Obstacles.from_fields(obstacles)
+        task = Task(
+            limits=limits,
+            start=np.array([0.0, 0.0, *now[2:]], np.float32),
+            discs=self._discs,
+            around=fields.around(place, moving, self._times),
+            weights=self._weights,
+            dt=np.float32(self.config.dt),
+            goal=(_vector(goal, "goal", 2) - place).astype(np.float32),
+            left=WayLeft.straight(),
         )
-        motion = np.column_stack([now[:2] + times[:, None] * way, np.full(len(times), now[2])])
+        if isinstance(anchors, Plan) and not anchors.usable:
+            self._guides.reset()
+            return self._brake(task, now, str(anchors.reason))
+        if isinstance(anchors, Plan) and anchors.stuck:
+            self.reset()
+        task, references, indices = self._guides.along(task, anchors, place)
+        return self._best(task, now, references, indices)
+
+    def _best(self, task: Task, now: Array, references: Floats, indices: list[int]) -> Command:
+        """Return the command of the best motion; references: [A,S,5] along anchors."""
+        tried = self._tried(task, references)
+        of, starts = self._ways(task, tried)
+        refined = self._refined(task, tried, starts)
+        # Of each way what was tried, or its refinement.
+        better = refined.costs < tried.costs[starts]
+        costs = np.where(better, refined.costs, tried.costs[starts])
+        costs[1:] += self.config.switch_cost
+        way = int(costs.argmin())
+        motions, k = (refined, way) if better[way] else (tried, starts[way])
+        if (reason := self._unsafe(task, tried, motions, k)) is not None:
+            return self._brake(task, now, reason)
+        self._held = motions.controls[k]
+        along = np.flatnonzero(of[STANDING:] == of[starts[way]])
+        anchor = None
+        if len(along):
+            anchor = indices[int(along[tried.costs[STANDING + along].argmin()])]
+        return self._command(task, now, motions, k, anchor=anchor)
+
+    def _tried(self, task: Task, references: Floats) -> Motions:
+        """Roll out the motion in progress, braking, and motions along anchors."""
+        steps, share = self.config.steps, self.tick_s / self.config.dt
+        controls = np.empty((STANDING + len(references), steps, 2), np.float32)
+        # The motion in progress, a tick later; then the robot keeps its velocity.
+        at = np.arange(steps) + share
+        for i in range(2):
+            controls[HELD, :, i] = np.interp(at, np.arange(steps), self._held[:, i], right=0.0)
+        braking_controls(task, controls[BRAKING])
+        follow(task.limits, task.start, references, task.dt, controls[STANDING:])
+        return Motions.under(task, controls)
+
+    def _ways(self, task: Task, tried: Motions) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the way [K] of each motion, and the best motion [M] of each of the best ways.
+
+        The first way is that in progress.
+        """
+        of = np.empty(len(tried.costs), np.int64)
+        order = tried.costs.argsort()
+        count = ways_of(task.around, tried.states, order, WAYS, of)
+        starts = [np.where(of == way, tried.costs, np.inf).argmin() for way in range(count)]
+        return of, np.array(starts)
+
+    def _refined(self, task: Task, tried: Motions, starts: NDArray[np.int64]) -> Motions:
+        """Return the weighted mean [M] of disturbed motions about each of some motions [M]."""
+        config, scale = self.config, task.limits.control_scale
+        count = max(config.motions - len(tried.costs) - len(starts), len(starts))
+        controls = np.empty((count, config.steps, 2), np.float32)
+        means = tried.controls[starts]
+        noise = np.float32(config.noise) * scale
+        disturb(means, self._noise.draw(count), noise, scale, controls)
+        drawn = Motions.under(task, controls)
+        weigh(drawn.costs, controls, np.float32(config.temperature), means)
+        return Motions.under(task, means)
+
+    def _unsafe(self, task: Task, tried: Motions, motions: Motions, k: int) -> str | None:
+        """Return why a motion cannot be begun, if it collides before the robot could stop."""
+        floor = min(0.0, self._guides.start_room, float(tried.rooms[BRAKING, 0])) - TOUCH
+        speed = np.hypot(*task.start[3:]) if self.robot.kind == "omni" else abs(task.start[3])
+        free_s = self.config.dt * motions.collides_after(k, floor)
+        if free_s > float(speed) / self.robot.a_max + RESERVE_S:
+            return None
+        return f"the best of {self.config.motions} motions collides in {free_s:.1f} s"
+
+    def _brake(self, task: Task, now: Array, reason: str) -> Command:
+        controls = np.empty((1, self.config.steps, 2), np.float32)
+        braking_controls(task, controls[0])
+        self._held = controls[0]
+        return self._command(task, now, Motions.under(task, controls), 0, reason=reason)
+
+    def _command(
+        self,
+        task: Task,
+        now: Array,
+        motions: Motions,
+        k: int,
+        *,
+        reason: str | None = None,
+        anchor: int | None = None,
+    ) -> Command:
+        first, second = motions.controls[k, 0]
+        after = step(task.limits, tuple(task.start), first, second, np.float32(self.tick_s))
+        motion = motions.states[k, :, :3].astype(np.float64)
+        motion[:, :2] += now[:2]
         return Command(
-            u=u,
+            u=np.array(after[3:], np.float64),
             motion=motion,
-            times=times,
-            braking=False,
-            cost=float(np.linalg.norm(target - motion[-1, :2])),
+            times=self._times,
+            braking=reason is not None,
+            cost=float(motions.costs[k]),
+            reason=reason,
+            anchor=anchor,
             kind=self.robot.kind,
             heading=float(now[2]),
         )
 
-    def reset(self) -> None:
-        """Drop the motion in progress: for another goal, or after a move by hand."""
+    def _fields_of(self, cost_map: CostMap | Mapping[str, Any]) -> MapFields:
+        """Return the fields of a map, kept while it is the same object."""
+        if self._fields is None or self._fields.cost_map is not cost_map:
+            if not isinstance(cost_map, CostMap):
+                cost_map = CostMap.from_fields(cost_map)
+            self._fields = MapFields(cost_map, self.config.cost_penalty)
+        return self._fields
 
-    def _straight(
-        self, now: NDArray[np.float64], target: NDArray[np.float64], most: float
-    ) -> NDArray[np.float64]:
-        robot, way = self.robot, target - now[:2]
-        left = float(np.linalg.norm(way))
-        speed = min(most, math.sqrt(robot.a_max * left))
-        gain = robot.a_max * self.tick_s
-        if robot.kind == "omni":
-            change = speed * way / max(left, 1e-6) - now[3:]
-            return now[3:] + change * min(1.0, gain / max(float(np.linalg.norm(change)), 1e-9))
-        off = wrapped(math.atan2(way[1], way[0]) - now[2])
-        v = now[3] + np.clip(speed * max(0.0, math.cos(off)) - now[3], -gain, gain)
-        turn = float(np.clip(2.0 * off, -robot.omega_max, robot.omega_max))
-        if robot.min_turning_radius > 0.0:
-            turn = float(
-                np.clip(turn, -abs(v) / robot.min_turning_radius, abs(v) / robot.min_turning_radius)
-            )
-        return np.array([v, turn])
+
+def _vector(value: ArrayLike, name: str, size: int) -> Array:
+    vector = numbers(value, name, COORDINATE, f"[{size}]")
+    if vector.shape != (size,):
+        raise wrong_shape(name, f"[{size}]", vector)
+    return vector

@@ -7,9 +7,10 @@ on other trajectories each; it starts no threads itself and keeps the order of i
 gives inf or NaN, as in numpy.
 
 numba compiles anew when the file of a function has changed, but not when the file of one that it
-calls has. So the machine code is kept in a folder that is named for the content of all of them: in
-NUMBA_CACHE_DIR, or else beside the source. Where neither can be written, numba chooses. A constant
-that a compiled function reads therefore stands in a file with a compiled function.
+calls has. So the machine code is kept in a folder that is named for the content of all of them,
+those of this package and of the one that marks the function: in NUMBA_CACHE_DIR, or else beside the
+source. Where neither can be written, numba chooses. A constant that a compiled function reads
+therefore stands in a file with a compiled function.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def compiled(function: Function) -> Function:
     """The function as machine code; it takes and gives the same."""
     settings: Any = config
     chosen = settings.CACHE_DIR
-    settings.CACHE_DIR = _folder(chosen)
+    settings.CACHE_DIR = _folder(chosen, _package(function))
     try:
         dispatcher: Any = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
     finally:
@@ -41,9 +42,15 @@ def compiled(function: Function) -> Function:
     return dispatcher
 
 
+def _package(function: Callable[..., Any]) -> Path:
+    """Return the folder of the package whose module defines a function."""
+    depth = function.__module__.count(".")
+    return Path(function.__code__.co_filename).parents[max(depth - 1, 0)]
+
+
 @cache
-def _folder(chosen: str) -> str:
-    folder = Path(chosen or HERE.with_name("__pycache__")) / f"loops-{stamp(HERE.parent)}"
+def _folder(chosen: str, package: Path = HERE.parent) -> str:
+    folder = Path(chosen or package / "__pycache__") / f"loops-{stamp(package)}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -59,6 +66,7 @@ def kept() -> bool:
 
 def stamp(package: Path) -> str:
     """Return a hash of this file and of all files below a folder with compiled functions."""
-    sources = [path.read_bytes() for path in sorted(package.rglob("*.py"))]
+    folders = sorted({HERE.parent, package})
+    sources = [path.read_bytes() for each in folders for path in sorted(each.rglob("*.py"))]
     held = [HERE.read_bytes(), *(source for source in sources if MARK in source)]
     return sha256(b"\0".join(held)).hexdigest()[:12]

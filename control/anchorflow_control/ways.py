@@ -1,0 +1,62 @@
+"""Which motions pass the obstacles on the same side, so that one may replace the other."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_control.surroundings import Surroundings, nearest_mover, value_at
+from anchorflow_trajectory.compiled import compiled
+
+Floats = NDArray[np.float32]
+
+NONE, ONE = np.float32(0.0), np.float32(1.0)
+SHORTEST = np.float32(0.02)  # m, by which the line between two motions is followed at least
+
+
+@compiled
+def is_same_way(around: Surroundings, states: Floats, others: Floats) -> bool:
+    """Return whether the straight lines between two motions [T,5] meet no obstacle.
+
+    The places of one moment are joined: a motion before and one behind a mover differ too.
+    """
+    for t in range(len(states)):
+        x, y = states[t, 0], states[t, 1]
+        by_x, by_y = others[t, 0] - x, others[t, 1] - y
+        length = np.sqrt(by_x * by_x + by_y * by_y)
+        at = NONE
+        while at < length:
+            share = at / length
+            place_x, place_y = x + share * by_x, y + share * by_y
+            room = value_at(around.distance, place_x, place_y)
+            if around.movers.radii.shape[1]:
+                room = nearest_mover(around.movers, t, place_x, place_y, max(room, NONE))
+            if room <= NONE:
+                return False
+            at += max(room, SHORTEST)
+    return True
+
+
+@compiled
+def ways_of(
+    around: Surroundings, states: Floats, order: NDArray[np.int64], most: int, of: NDArray[np.int64]
+) -> int:
+    """Write the way [K] of motions [K,T,5], and return how many there are.
+
+    Ways are numbered from 0 on, that of the first motion first, then as `order` [K] meets them;
+    motions on none of the first `most` ways have -1.
+    """
+    first = np.zeros(most, np.int64)
+    of[:] = -1
+    of[0], count = 0, 1
+    for k in order:
+        if k == 0:
+            continue
+        for way in range(count):
+            if is_same_way(around, states[first[way]], states[k]):
+                of[k] = way
+                break
+        if of[k] < 0 and count < most:
+            first[count], of[k] = k, count
+            count += 1
+    return count
