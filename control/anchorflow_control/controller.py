@@ -22,11 +22,10 @@ from anchorflow_control.body import discs_of
 from anchorflow_control.command import Command
 from anchorflow_control.config import MppiConfig
 from anchorflow_control.cost_to_go import WayLeft
-from anchorflow_control.dynamics import Limits, step
+from anchorflow_control.dynamics import Limits, brake, step
 from anchorflow_control.guides import Guides
-from anchorflow_control.motions import Motions, braking_controls
 from anchorflow_control.robot import Robot
-from anchorflow_control.rollout import Task, Weights
+from anchorflow_control.rollout import Motions, Task, Weights
 from anchorflow_control.sampling import Disturbances, disturb, weigh
 from anchorflow_control.surroundings import MapFields
 from anchorflow_control.ways import ways_of
@@ -159,7 +158,7 @@ class MppiController:
         at = np.arange(steps) + share
         for i in range(2):
             controls[HELD, :, i] = np.interp(at, np.arange(steps), self._held[:, i], right=0.0)
-        braking_controls(task, controls[BRAKING])
+        brake(task.limits, task.start, task.dt, controls[BRAKING])
         follow(task.limits, task.start, references, task.dt, controls[STANDING:])
         return Motions.under(task, controls)
 
@@ -190,14 +189,14 @@ class MppiController:
         """Return why a motion cannot be begun, if it collides before the robot could stop."""
         floor = min(0.0, self._guides.start_room, float(tried.rooms[BRAKING, 0])) - TOUCH
         speed = np.hypot(*task.start[3:]) if self.robot.kind == "omni" else abs(task.start[3])
-        free_s = self.config.dt * motions.collides_after(k, floor)
+        free_s = self.config.dt * motions.steps_clear(k, floor)
         if free_s > float(speed) / self.robot.a_max + RESERVE_S:
             return None
         return f"the best of {self.config.motions} motions collides in {free_s:.1f} s"
 
     def _brake(self, task: Task, now: Array, reason: str) -> Command:
         controls = np.empty((1, self.config.steps, 2), np.float32)
-        braking_controls(task, controls[0])
+        brake(task.limits, task.start, task.dt, controls[0])
         self._held = controls[0]
         return self._command(task, now, Motions.under(task, controls), 0, reason=reason)
 

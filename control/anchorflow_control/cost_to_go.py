@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_control.surroundings import Grid, Surroundings, body_clearance, value_at
+from anchorflow_control.surroundings import Grid, value_at
 from anchorflow_trajectory.compiled import compiled
 
 Floats = NDArray[np.float32]
@@ -20,7 +20,7 @@ OFF_PATH_COST = np.float32(1.5)  # m of way per metre away from the nearest poin
 BLOCKED_COST = np.float32(3.0)  # m of way for an obstacle between a place and its path
 NARROWER = np.float32(0.12)  # m, by which a straight line is narrower than the body
 SIGHT_POINTS = 6  # checked between a place and its path
-NONE, FAR = np.float32(0.0), np.float32(1e9)
+NONE, ONE, FAR = np.float32(0.0), np.float32(1.0), np.float32(1e9)
 SPACING = 0.15  # m between the points kept of a path
 MAX_POINTS = 48  # of a path
 
@@ -47,47 +47,45 @@ class WayLeft(NamedTuple):
 
 @compiled
 def metres_left(
-    left: WayLeft, distance: Grid, x: np.float32, y: np.float32, goal: Floats
-) -> np.float32:
-    """Return m from a place to a point of an anchor and along it, or straight to the goal.
+    points: Floats, sight: np.float32, distance: Grid, goal: Floats, states: Floats, left: Floats
+) -> None:
+    """Write m [K] from the ends of motions [K,T,5] to a point of an anchor and along it.
 
-    An obstacle on the straight line to the point adds BLOCKED_COST.
+    An obstacle on the straight line to the point adds BLOCKED_COST. Without points [P,3] it is the
+    straight line to the goal [2].
     """
-    count = len(left.points)
-    if not count:
+    end = states.shape[1] - 1
+    for k in range(len(states)):
+        x, y = states[k, end, 0], states[k, end, 1]
         across, along = x - goal[0], y - goal[1]
-        return np.sqrt(across * across + along * along)
-    least, nearest = FAR, 0
-    for i in range(count):
-        across, along = x - left.points[i, 0], y - left.points[i, 1]
-        metres = left.points[i, 2] + OFF_PATH_COST * np.sqrt(across * across + along * along)
-        if metres < least:
-            least, nearest = metres, i
-    by_x, by_y = left.points[nearest, 0] - x, left.points[nearest, 1] - y
-    for i in range(SIGHT_POINTS):
-        share = np.float32(i / (SIGHT_POINTS - 1))
-        if value_at(distance, x + share * by_x, y + share * by_y) < left.sight:
-            return least + BLOCKED_COST
-    return least
+        left[k] = np.sqrt(across * across + along * along)
+        if not len(points):
+            continue
+        least, nearest = FAR, 0
+        for i in range(len(points)):
+            across, along = x - points[i, 0], y - points[i, 1]
+            metres = points[i, 2] + OFF_PATH_COST * np.sqrt(across * across + along * along)
+            if metres < least:
+                least, nearest = metres, i
+        by_x, by_y = points[nearest, 0] - x, points[nearest, 1] - y
+        room = FAR
+        for i in range(SIGHT_POINTS):
+            share = np.float32(i / (SIGHT_POINTS - 1))
+            room = min(room, value_at(distance, x + share * by_x, y + share * by_y))
+        left[k] = least + BLOCKED_COST if room < sight else least
 
 
 @compiled
-def survey(
-    around: Surroundings, discs: Floats, motions: Floats, rooms: Floats, ways: Floats
-) -> None:
-    """Write clearances [A,S] in m, and m of way [A,S] from the beginning of motions [A,S,5].
-
-    What moves is left out; the way counts soft costs as detours.
-    """
+def ways_along(surcharge: Grid, motions: Floats, ways: Floats) -> None:
+    """Write m of way [A,S] from the beginning of motions [A,S,5]; soft costs count as detours."""
     for k in range(len(motions)):
         way = NONE
-        for s in range(motions.shape[1]):
+        ways[k, 0] = way
+        for s in range(1, motions.shape[1]):
             x, y = motions[k, s, 0], motions[k, s, 1]
-            rooms[k, s] = body_clearance(around, discs, -1, (x, y, motions[k, s, 2]), FAR)
-            if s:
-                across, along = x - motions[k, s - 1, 0], y - motions[k, s - 1, 1]
-                dear = np.float32(1.0) + value_at(around.surcharge, x, y)
-                way += dear * np.sqrt(across * across + along * along)
+            across, along = x - motions[k, s - 1, 0], y - motions[k, s - 1, 1]
+            dear = ONE + value_at(surcharge, x, y)
+            way += dear * np.sqrt(across * across + along * along)
             ways[k, s] = way
 
 

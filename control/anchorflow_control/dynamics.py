@@ -140,3 +140,24 @@ def braking(
     later = v - within(v, -limits.a_max * dt, limits.a_max * dt)
     turn = w * later / v if abs(v) > TINY else NONE
     return (later - v) / dt, (turn - w) / dt
+
+
+@compiled
+def drive(limits: Limits, start: Floats, dt: np.float32, controls: Floats, states: Floats) -> None:
+    """Write the states [K,T,5] after each step from a state [5] on, under controls [K,T,2]."""
+    for k in range(len(controls)):
+        state = (start[0], start[1], start[2], start[3], start[4])
+        for t in range(controls.shape[1]):
+            state = step(limits, state, controls[k, t, 0], controls[k, t, 1], dt)
+            states[k, t, 0], states[k, t, 1], states[k, t, 2] = state[0], state[1], state[2]
+            states[k, t, 3], states[k, t, 4] = state[3], state[4]
+
+
+@compiled
+def brake(limits: Limits, start: Floats, dt: np.float32, controls: Floats) -> None:
+    """Write the controls [T,2] of the hardest braking from a state [5]."""
+    state = (start[0], start[1], start[2], start[3], start[4])
+    for t in range(len(controls)):
+        first, second = braking(limits, state, dt)
+        controls[t, 0], controls[t, 1] = first, second
+        state = step(limits, state, first, second, dt)

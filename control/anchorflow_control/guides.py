@@ -10,8 +10,8 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.planner import Plan
 from anchorflow_control.anchor_motions import check_motions, references
 from anchorflow_control.config import MppiConfig
-from anchorflow_control.cost_to_go import WayLeft, points_along, survey
-from anchorflow_control.rollout import Task
+from anchorflow_control.cost_to_go import WayLeft, points_along, ways_along
+from anchorflow_control.rollout import Task, clearances
 
 Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
@@ -69,9 +69,7 @@ class Guides:
         return task._replace(left=self._way_left(place)), motions, chosen.tolist()
 
     def _see_start(self, task: Task) -> None:
-        rooms, ways = np.empty((1, 1), np.float32), np.empty((1, 1), np.float32)
-        survey(task.around, self._discs, task.start[None, None], rooms, ways)
-        self.start_room = float(rooms[0, 0])
+        self.start_room = float(clearances(task, task.start[None, None], moving=False)[0, 0])
 
     def _chosen(self, batch: AnchorBatch, plan: Plan | None) -> NDArray[np.intp]:
         """Return the indices [A] of the anchors to follow: the best, spread over routes."""
@@ -90,11 +88,9 @@ class Guides:
         self, task: Task, motions: Floats, off_route: NDArray[np.bool_], place: Array
     ) -> None:
         """Keep the way left along those of motions [A,S,5] that are clear."""
-        rooms, ways = (
-            np.empty(motions.shape[:2], np.float32),
-            np.empty(motions.shape[:2], np.float32),
-        )
-        survey(task.around, self._discs, motions, rooms, ways)
+        ways = np.empty(motions.shape[:2], np.float32)
+        ways_along(task.around.surcharge, motions, ways)
+        rooms = clearances(task, motions, self._config.margin, moving=False)
         clear = rooms.min(1) >= np.minimum(rooms[:, 0], self._config.margin)
         if not clear.any():
             return

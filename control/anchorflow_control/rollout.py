@@ -6,6 +6,7 @@ J = sum_t dt (collision + nearness + distance + effort + smoothness + reversing 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,8 +14,14 @@ from numpy.typing import NDArray
 
 from anchorflow_control.config import MppiConfig
 from anchorflow_control.cost_to_go import WayLeft, metres_left
-from anchorflow_control.dynamics import OMNI, Limits, step
-from anchorflow_control.surroundings import Surroundings, body_clearance, value_at
+from anchorflow_control.dynamics import OMNI, Limits, drive
+from anchorflow_control.surroundings import (
+    Grid,
+    Surroundings,
+    clear_of_movers,
+    clear_of_obstacles,
+    value_at,
+)
 from anchorflow_trajectory.compiled import compiled
 
 Floats = NDArray[np.float32]
@@ -56,43 +63,93 @@ class Task(NamedTuple):
     left: WayLeft
 
 
-@compiled
-def roll_out(task: Task, controls: Floats, costs: Floats, states: Floats, rooms: Floats) -> None:
-    """Write costs [K], states [K,T,5] and clearances [K,T] in m under controls [K,T,2].
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """controls: [K,T,2]; costs: [K]; states: [K,T,5]; rooms: [K,T] m beside the body.
 
-    Clearances are exact below margin + comfort.
+    Rooms are exact where they cost something.
     """
-    limits, start, weights = task.limits, task.start, task.weights
-    enough = weights.margin + weights.comfort
+
+    controls: Floats
+    costs: Floats
+    states: Floats
+    rooms: Floats
+
+    @staticmethod
+    def under(task: Task, controls: Floats) -> Motions:
+        """Roll out controls [K,T,2].
+
+        Each loop takes arrays, not tuples of them, whose references numba would count.
+        """
+        count, steps, _ = controls.shape
+        states, costs = np.empty((count, steps, 5), np.float32), np.empty(count, np.float32)
+        drive(task.limits, task.start, task.dt, controls, states)
+        rooms = clearances(task, states, task.weights.margin + task.weights.comfort)
+        distance, surcharge, _ = task.around
+        metres_left(*task.left, distance, task.goal, states, costs)
+        charge(
+            task.limits, task.weights, task.dt, task.goal, surcharge, controls, states, rooms, costs
+        )
+        return Motions(controls, costs, states, rooms)
+
+    def steps_clear(self, k: int, floor: float) -> int:
+        """Return the steps that motion k stays at least `floor` m from everything."""
+        low = self.rooms[k] < floor
+        return int(low.argmax()) if low.any() else len(low)
+
+
+def clearances(
+    task: Task, states: Floats, enough: float = np.inf, *, moving: bool = True
+) -> Floats:
+    """Return m [K,T] beside the body in states [K,T,5], exact below `enough`.
+
+    moving: with what moves, at the ends of T steps
+    """
+    rooms = np.empty(states.shape[:2], np.float32)
+    clear_of_obstacles(task.around.distance, task.discs, np.float32(enough), states, rooms)
+    if moving and task.around.movers.radii.size:
+        clear_of_movers(*task.around.movers, task.discs, states, rooms)
+    return rooms
+
+
+@compiled
+def charge(
+    limits: Limits,
+    weights: Weights,
+    dt: np.float32,
+    goal: Floats,
+    surcharge: Grid,
+    controls: Floats,
+    states: Floats,
+    rooms: Floats,
+    costs: Floats,
+) -> None:
+    """Turn the metres left [K] into the costs of motions."""
     scale_first = ONE / limits.a_max
     scale_second = ONE / (limits.a_max if limits.kind == OMNI else limits.alpha_max)
+    is_dear = surcharge.values.size > 0
     for k in range(len(controls)):
-        state = (start[0], start[1], start[2], start[3], start[4])
-        cost, first, second = NONE, controls[k, 0, 0], controls[k, 0, 1]
+        cost, first, second = (
+            NONE,
+            scale_first * controls[k, 0, 0],
+            scale_second * controls[k, 0, 1],
+        )
         for t in range(controls.shape[1]):
             before, before_second = first, second
-            first, second = controls[k, t, 0], controls[k, t, 1]
-            state = step(limits, state, first, second, task.dt)
-            x, y, heading, v, w = state
+            first, second = scale_first * controls[k, t, 0], scale_second * controls[k, t, 1]
+            jerk, jolt = first - before, second - before_second
+            x, y, v, w = states[k, t, 0], states[k, t, 1], states[k, t, 3], states[k, t, 4]
             speed = np.sqrt(v * v + w * w) if limits.kind == OMNI else abs(v)
-            room = body_clearance(task.around, task.discs, t, (x, y, heading), enough)
-            cost += _place_cost(weights, room - weights.margin, speed)
-            away_x, away_y = x - task.goal[0], y - task.goal[1]
+            cost += _place_cost(weights, rooms[k, t] - weights.margin, speed)
+            away_x, away_y = x - goal[0], y - goal[1]
             cost += weights.distance * np.sqrt(away_x * away_x + away_y * away_y)
-            push, twist = first * scale_first, second * scale_second
-            jerk, jolt = (first - before) * scale_first, (second - before_second) * scale_second
-            cost += weights.effort * (push * push + twist * twist)
+            cost += weights.effort * (first * first + second * second)
             cost += weights.smoothness * (jerk * jerk + jolt * jolt)
-            if limits.kind != OMNI and v < NONE:
-                cost -= weights.reversing * v
-            if task.around.surcharge.values.size:
-                soft = value_at(task.around.surcharge, x, y)
-                cost += weights.terminal * speed * soft
-            rooms[k, t] = room
-            states[k, t, 0], states[k, t, 1], states[k, t, 2] = x, y, heading
-            states[k, t, 3], states[k, t, 4] = v, w
-        left = metres_left(task.left, task.around.distance, state[0], state[1], task.goal)
-        costs[k] = task.dt * cost + weights.terminal * left
+            if limits.kind != OMNI:
+                cost += weights.reversing * max(-v, NONE)
+            if is_dear:
+                cost += weights.terminal * speed * value_at(surcharge, x, y)
+        costs[k] = dt * cost + weights.terminal * costs[k]
 
 
 @compiled

@@ -19,7 +19,7 @@ from anchorflow_trajectory.cost.fields import soft_cost
 
 Floats = NDArray[np.float32]
 
-FAR = 1e3  # m, the distance to obstacles of a map without any
+FAR = np.float32(1e3)  # m, the distance to obstacles of a map without any
 NONE, HALF = np.float32(0.0), np.float32(0.5)
 
 
@@ -61,7 +61,7 @@ class MapFields:
         self.cost_map = cost_map
         occupied = np.asarray(cost_map.occupancy >= OCCUPIED)
         distance = SHARED.of(occupied, cost_map.resolution, signed_distance)
-        self.distance = np.minimum(distance, np.float32(FAR))
+        self.distance = np.minimum(distance, FAR)
         soft = soft_cost(cost_map.data, cost_map.channel_weights)
         soft *= np.float32(cost_penalty)
         self.surcharge = soft if soft.any() else np.zeros((0, 0), np.float32)
@@ -112,46 +112,50 @@ def value_at(grid: Grid, x: np.float32, y: np.float32) -> np.float32:
 
 
 @compiled
-def nearest_mover(
-    movers: Movers, t: int, x: np.float32, y: np.float32, most: np.float32
-) -> np.float32:
-    """Return m from a point to the rim of the nearest disc at the end of step t, at most `most`."""
-    least = most
-    for j in range(movers.radii.shape[1]):
-        across, along = x - movers.places[t, j, 0], y - movers.places[t, j, 1]
-        far = movers.radii[t, j] + least
-        square = across * across + along * along
-        if far > NONE and square < far * far:
-            least = np.sqrt(square) - movers.radii[t, j]
-    return least
+def clear_of_obstacles(
+    distance: Grid, discs: Floats, enough: np.float32, states: Floats, rooms: Floats
+) -> None:
+    """Write m [K,T] between a body of discs [J,3] in states [K,T,5] and obstacles.
+
+    distance: m to obstacles; enough: m, below which the result is exact, and else a lower bound
+    """
+    reach = NONE
+    for j in range(len(discs)):
+        out = np.sqrt(discs[j, 0] * discs[j, 0] + discs[j, 1] * discs[j, 1])
+        reach = max(reach, out + discs[j, 2])
+    for k in range(len(states)):
+        for t in range(states.shape[1]):
+            x, y, heading = states[k, t, 0], states[k, t, 1], states[k, t, 2]
+            room = value_at(distance, x, y) - reach
+            # Not even the farthest point of the body is near, or there is one disc.
+            if room <= enough and len(discs) > 1:
+                cos, sin, room = np.cos(heading), np.sin(heading), FAR
+                for j in range(len(discs)):
+                    at_x = x + cos * discs[j, 0] - sin * discs[j, 1]
+                    at_y = y + sin * discs[j, 0] + cos * discs[j, 1]
+                    room = min(room, value_at(distance, at_x, at_y) - discs[j, 2])
+            rooms[k, t] = room
 
 
 @compiled
-def body_clearance(
-    around: Surroundings,
-    discs: Floats,
-    t: int,
-    pose: tuple[np.float32, np.float32, np.float32],
-    enough: np.float32,
-) -> np.float32:
-    """Return m between the body and what is nearest at the end of step t, exact below `enough`.
+def clear_of_movers(
+    places: Floats, radii: Floats, discs: Floats, states: Floats, rooms: Floats
+) -> None:
+    """Lower m [K,T] to those between a body of discs [J,3] in states [K,T,5] and what moves.
 
-    discs: [J,3], the body's; a negative t: without what moves
+    places: [T,M,2] m; radii: [T,M] m
     """
-    x, y, heading = pose
-    if len(discs) == 1:
-        radius = discs[0, 2]
-        room = value_at(around.distance, x, y) - radius
-        if t >= 0 and around.movers.radii.shape[1]:
-            room = min(room, nearest_mover(around.movers, t, x, y, enough + radius) - radius)
-        return room
-    cos, sin, least = np.cos(heading), np.sin(heading), np.float32(FAR)
-    for j in range(len(discs)):
-        at_x = x + cos * discs[j, 0] - sin * discs[j, 1]
-        at_y = y + sin * discs[j, 0] + cos * discs[j, 1]
-        least = min(least, value_at(around.distance, at_x, at_y) - discs[j, 2])
-        if t >= 0 and around.movers.radii.shape[1]:
-            most = enough + discs[j, 2]
-            room = nearest_mover(around.movers, t, at_x, at_y, most) - discs[j, 2]
-            least = min(least, room)
-    return least
+    for k in range(len(states)):
+        for t in range(states.shape[1]):
+            x, y, heading = states[k, t, 0], states[k, t, 1], states[k, t, 2]
+            cos, sin, room = np.cos(heading), np.sin(heading), rooms[k, t]
+            for j in range(len(discs)):
+                at_x = x + cos * discs[j, 0] - sin * discs[j, 1]
+                at_y = y + sin * discs[j, 0] + cos * discs[j, 1]
+                for m in range(radii.shape[1]):
+                    across, along = at_x - places[t, m, 0], at_y - places[t, m, 1]
+                    apart = radii[t, m] + discs[j, 2]
+                    far, square = apart + room, across * across + along * along
+                    if far > NONE and square < far * far:
+                        room = np.sqrt(square) - apart
+            rooms[k, t] = room

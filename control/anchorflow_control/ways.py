@@ -5,20 +5,24 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_control.surroundings import Surroundings, nearest_mover, value_at
+from anchorflow_control.surroundings import Grid, Surroundings, value_at
 from anchorflow_trajectory.compiled import compiled
 
 Floats = NDArray[np.float32]
 
-NONE, ONE = np.float32(0.0), np.float32(1.0)
+NONE = np.float32(0.0)
 SHORTEST = np.float32(0.02)  # m, by which the line between two motions is followed at least
 
 
 @compiled
-def is_same_way(around: Surroundings, states: Floats, others: Floats) -> bool:
+def is_same_way(
+    distance: Grid, places: Floats, radii: Floats, states: Floats, others: Floats
+) -> bool:
     """Return whether the straight lines between two motions [T,5] meet no obstacle.
 
     The places of one moment are joined: a motion before and one behind a mover differ too.
+
+    distance: m to obstacles; places, radii: of movers, [T,M,2] and [T,M] m
     """
     for t in range(len(states)):
         x, y = states[t, 0], states[t, 1]
@@ -26,11 +30,11 @@ def is_same_way(around: Surroundings, states: Floats, others: Floats) -> bool:
         length = np.sqrt(by_x * by_x + by_y * by_y)
         at = NONE
         while at < length:
-            share = at / length
-            place_x, place_y = x + share * by_x, y + share * by_y
-            room = value_at(around.distance, place_x, place_y)
-            if around.movers.radii.shape[1]:
-                room = nearest_mover(around.movers, t, place_x, place_y, max(room, NONE))
+            here_x, here_y = x + at / length * by_x, y + at / length * by_y
+            room = value_at(distance, here_x, here_y)
+            for m in range(radii.shape[1]):
+                across, along = here_x - places[t, m, 0], here_y - places[t, m, 1]
+                room = min(room, np.sqrt(across * across + along * along) - radii[t, m])
             if room <= NONE:
                 return False
             at += max(room, SHORTEST)
@@ -46,6 +50,8 @@ def ways_of(
     Ways are numbered from 0 on, that of the first motion first, then as `order` [K] meets them;
     motions on none of the first `most` ways have -1.
     """
+    distance, movers = around.distance, around.movers
+    places, radii = movers.places, movers.radii
     first = np.zeros(most, np.int64)
     of[:] = -1
     of[0], count = 0, 1
@@ -53,7 +59,7 @@ def ways_of(
         if k == 0:
             continue
         for way in range(count):
-            if is_same_way(around, states[first[way]], states[k]):
+            if is_same_way(distance, places, radii, states[first[way]], states[k]):
                 of[k] = way
                 break
         if of[k] < 0 and count < most:
