@@ -27,7 +27,7 @@ from anchorflow_control.guides import Guides
 from anchorflow_control.robot import Robot
 from anchorflow_control.rollout import Motions, Task, Weights
 from anchorflow_control.sampling import Disturbances, disturb, weigh
-from anchorflow_control.surroundings import MapFields
+from anchorflow_control.surroundings import MapFields, movers_at
 from anchorflow_control.ways import ways_of
 
 Floats = NDArray[np.float32]
@@ -110,13 +110,15 @@ class MppiController:
         limits = Limits.of(
             self.robot, None if speed_limit is None else number(speed_limit, "speed_limit", V_MAX)
         )
-        fields = self._fields_of(cost_map)
         moving = None if obstacles is None else Obstacles.from_fields(obstacles)
+        speed = max(float(np.abs(now[3:]).sum()), self.robot.v_max)
+        near = self.robot.reach + self.config.margin + self.config.comfort + speed * self._times
+        movers = movers_at(moving, place, self._times, near=near)
         task = Task(
             limits=limits,
             start=np.array([0.0, 0.0, *now[2:]], np.float32),
             discs=self._discs,
-            around=fields.around(place, moving, self._times),
+            around=self._fields_of(cost_map).around(place, movers),
             weights=self._weights,
             dt=np.float32(self.config.dt),
             goal=(_vector(goal, "goal", 2) - place).astype(np.float32),

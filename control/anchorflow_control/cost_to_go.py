@@ -26,7 +26,7 @@ MAX_POINTS = 48  # of a path
 
 
 class WayLeft(NamedTuple):
-    """points: [P,3], x and y in m of points on anchors, and m left from each to the goal.
+    """points: [3,P], x and y in m of points on anchors, and m left from each to the goal.
 
     sight: m to obstacles, below which a straight line does not pass
     """
@@ -37,7 +37,7 @@ class WayLeft(NamedTuple):
     @staticmethod
     def straight() -> WayLeft:
         """Return the way of robots without anchors."""
-        return WayLeft(np.zeros((0, 3), np.float32), NONE)
+        return WayLeft(np.zeros((3, 0), np.float32), NONE)
 
     @staticmethod
     def sight_of(discs: Floats) -> np.float32:
@@ -51,28 +51,33 @@ def metres_left(
 ) -> None:
     """Write m [K] from the ends of motions [K,T,5] to a point of an anchor and along it.
 
-    An obstacle on the straight line to the point adds BLOCKED_COST. Without points [P,3] it is the
+    An obstacle on the straight line to the point adds BLOCKED_COST. Without points [3,P] it is the
     straight line to the goal [2].
     """
-    end = states.shape[1] - 1
-    for k in range(len(states)):
-        x, y = states[k, end, 0], states[k, end, 1]
-        across, along = x - goal[0], y - goal[1]
-        left[k] = np.sqrt(across * across + along * along)
-        if not len(points):
-            continue
-        least, nearest = FAR, 0
-        for i in range(len(points)):
-            across, along = x - points[i, 0], y - points[i, 1]
-            metres = points[i, 2] + OFF_PATH_COST * np.sqrt(across * across + along * along)
-            if metres < least:
-                least, nearest = metres, i
-        by_x, by_y = points[nearest, 0] - x, points[nearest, 1] - y
+    x, y = states[:, -1, 0].copy(), states[:, -1, 1].copy()
+    if not points.shape[1]:
+        for k in range(len(left)):
+            across, along = x[k] - goal[0], y[k] - goal[1]
+            left[k] = np.sqrt(across * across + along * along)
+        return
+    nearest = np.zeros(len(left), np.int32)
+    left[:] = FAR
+    for i in range(points.shape[1]):
+        to_x, to_y, beyond, index = points[0, i], points[1, i], points[2, i], np.int32(i)
+        # Without a branch, so that it runs on several motions at once.
+        for k in range(len(left)):
+            across, along = x[k] - to_x, y[k] - to_y
+            metres = beyond + OFF_PATH_COST * np.sqrt(across * across + along * along)
+            nearest[k] = index if metres < left[k] else nearest[k]
+            left[k] = min(metres, left[k])
+    for k in range(len(left)):
+        by_x, by_y = points[0, nearest[k]] - x[k], points[1, nearest[k]] - y[k]
         room = FAR
         for i in range(SIGHT_POINTS):
             share = np.float32(i / (SIGHT_POINTS - 1))
-            room = min(room, value_at(distance, x + share * by_x, y + share * by_y))
-        left[k] = least + BLOCKED_COST if room < sight else least
+            room = min(room, value_at(distance, x[k] + share * by_x, y[k] + share * by_y))
+        if room < sight:
+            left[k] += BLOCKED_COST
 
 
 @compiled
@@ -90,17 +95,28 @@ def ways_along(surcharge: Grid, motions: Floats, ways: Floats) -> None:
 
 
 def points_along(motions: Floats, ways: Floats, beyond: Floats, reach: float) -> Floats:
-    """Return [P,3], points of motions [A,S,5] and m left from each to the goal.
+    """Return [3,P], points of motions [A,S,5] and m left from each to the goal.
 
-    ways: [A,S] m; beyond: [A] m, from the end of each to the goal; reach: m, from the origin; only
-    points about as near count
+    ways: [A,S] m; beyond: [A] m, from the end of each to the goal; reach: m of way, up to which
+    points count
     """
-    longest = min(float(ways[:, -1].max()), 2.0 * reach)
+    longest = min(float(ways[:, -1].max()), reach)
     count = int(min(MAX_POINTS, max(2.0, longest / SPACING)))
-    wanted = np.linspace(0.0, longest, count, dtype=np.float32)
-    # The first sample from each length on; those that stand still at the end add nothing.
-    index = np.minimum((ways[:, None] < wanted[:, None]).sum(-1), ways.shape[1] - 1)
-    rows = np.arange(len(ways))[:, None]
-    left = ways[:, -1:] - ways[rows, index] + beyond[:, None]
-    points = np.concatenate([motions[rows, index, :2], left[..., None]], -1)
-    return np.ascontiguousarray(points.reshape(-1, 3), np.float32)
+    points = np.empty((3, len(motions), count), np.float32)
+    _sample(motions, ways, beyond, np.float32(longest / (count - 1)), points)
+    return points.reshape(3, -1)
+
+
+@compiled
+def _sample(
+    motions: Floats, ways: Floats, beyond: Floats, spacing: np.float32, points: Floats
+) -> None:
+    """Write points [3,A,C] at equal lengths of way; those that stand still at the end are one."""
+    last = motions.shape[1] - 1
+    for k in range(len(motions)):
+        s = 0
+        for i in range(points.shape[2]):
+            while s < last and ways[k, s] < i * spacing:
+                s += 1
+            points[0, k, i], points[1, k, i] = motions[k, s, 0], motions[k, s, 1]
+            points[2, k, i] = ways[k, last] - ways[k, s] + beyond[k]

@@ -17,6 +17,7 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 KEPT_S = 2.0  # that the way left is kept if the next anchors are not clear
+BEYOND = 1.5  # of the longest motion, up to which points of anchors are kept
 ON_ROUTE = 0.75  # of the anchors that are followed, where a plan knows its route
 
 
@@ -96,7 +97,7 @@ class Guides:
             return
         beyond = np.linalg.norm(task.goal - motions[:, -1, :2], axis=1)
         beyond += self._config.off_route * off_route
-        reach = float(task.limits.v_max) * self._config.dt * self._config.steps
+        reach = BEYOND * float(task.limits.v_max) * self._config.dt * self._config.steps
         points = points_along(motions[clear], ways[clear], beyond[clear], reach)
         self._left = points, place.copy()
         self._ticks_kept = round(KEPT_S / self._tick_s)
@@ -107,5 +108,5 @@ class Guides:
             return WayLeft.straight()
         points, seen_from = self._left
         moved = points.copy()
-        moved[:, :2] += (seen_from - place).astype(np.float32)
+        moved[:2] += (seen_from - place)[:, None].astype(np.float32)
         return WayLeft(moved, WayLeft.sight_of(self._discs))

@@ -107,7 +107,7 @@ def clearances(
     """
     rooms = np.empty(states.shape[:2], np.float32)
     clear_of_obstacles(task.around.distance, task.discs, np.float32(enough), states, rooms)
-    if moving and task.around.movers.radii.size:
+    if moving and task.around.movers.counts.any():
         clear_of_movers(*task.around.movers, task.discs, states, rooms)
     return rooms
 

@@ -36,10 +36,14 @@ class Grid(NamedTuple):
 
 
 class Movers(NamedTuple):
-    """Discs that move: places [T,M,2] and radii [T,M] in m, at the ends of T steps."""
+    """Discs that move: places [T,M,2] and radii [T,M] in m, at the ends of T steps.
+
+    counts: [T], of those that the robot may come near by then; they stand first
+    """
 
     places: Floats
     radii: Floats
+    counts: NDArray[np.int64]
 
 
 class Surroundings(NamedTuple):
@@ -71,28 +75,37 @@ class MapFields:
         first = (self.cost_map.origin - place) / self.cost_map.resolution + 0.5
         return Grid(values, np.float32(1.0 / self.cost_map.resolution), *map(np.float32, first))
 
-    def around(
-        self, place: NDArray[np.float64], obstacles: Obstacles | None, times: NDArray[np.float64]
-    ) -> Surroundings:
-        """Return what is round a place [2] in m; obstacles are moved to times [T] s."""
+    def around(self, place: NDArray[np.float64], movers: Movers) -> Surroundings:
+        """Return what is round a place [2] in m, from which the movers are seen."""
         return Surroundings(
-            self.grid(self.distance, place),
-            self.grid(self.surcharge, place),
-            movers_at(obstacles, place, times),
+            self.grid(self.distance, place), self.grid(self.surcharge, place), movers
         )
 
 
 def movers_at(
-    obstacles: Obstacles | None, place: NDArray[np.float64], times: NDArray[np.float64]
+    obstacles: Obstacles | None,
+    place: NDArray[np.float64],
+    times: NDArray[np.float64],
+    *,
+    near: NDArray[np.float64],
 ) -> Movers:
-    """Return the places and radii of obstacles at times [T] s, as seen from a place [2] in m."""
+    """Return obstacles at times [T] s, as seen from a place [2] in m.
+
+    near: [T] m from the place to a disc's rim, beyond which a disc does not count at that time
+    """
     if obstacles is None or not len(obstacles.radius):
-        return Movers(
-            np.zeros((len(times), 0, 2), np.float32), np.zeros((len(times), 0), np.float32)
-        )
+        shape = (len(times), 0)
+        nobody, nowhere = np.zeros(shape, np.float32), np.zeros((*shape, 2), np.float32)
+        return Movers(nowhere, nobody, np.zeros(len(times), np.int64))
     places = (obstacles.places(times) - place).transpose(1, 0, 2)
     radii = obstacles.radius + obstacles.growth * times[:, None]
-    return Movers(np.ascontiguousarray(places, np.float32), radii.astype(np.float32))
+    is_near = np.linalg.norm(places, axis=-1) - radii < near[:, None]
+    order = np.argsort(~is_near, axis=1, kind="stable")
+    return Movers(
+        np.take_along_axis(places, order[..., None], axis=1).astype(np.float32),
+        np.take_along_axis(radii, order, axis=1).astype(np.float32),
+        is_near.sum(1),
+    )
 
 
 @compiled
@@ -112,6 +125,16 @@ def value_at(grid: Grid, x: np.float32, y: np.float32) -> np.float32:
 
 
 @compiled
+def reach_of(discs: Floats) -> np.float32:
+    """Return m from the robot's place to the farthest point of a body of discs [J,3]."""
+    reach = NONE
+    for j in range(len(discs)):
+        out = np.sqrt(discs[j, 0] * discs[j, 0] + discs[j, 1] * discs[j, 1])
+        reach = max(reach, out + discs[j, 2])
+    return reach
+
+
+@compiled
 def clear_of_obstacles(
     distance: Grid, discs: Floats, enough: np.float32, states: Floats, rooms: Floats
 ) -> None:
@@ -119,10 +142,7 @@ def clear_of_obstacles(
 
     distance: m to obstacles; enough: m, below which the result is exact, and else a lower bound
     """
-    reach = NONE
-    for j in range(len(discs)):
-        out = np.sqrt(discs[j, 0] * discs[j, 0] + discs[j, 1] * discs[j, 1])
-        reach = max(reach, out + discs[j, 2])
+    reach = reach_of(discs)
     for k in range(len(states)):
         for t in range(states.shape[1]):
             x, y, heading = states[k, t, 0], states[k, t, 1], states[k, t, 2]
@@ -139,23 +159,30 @@ def clear_of_obstacles(
 
 @compiled
 def clear_of_movers(
-    places: Floats, radii: Floats, discs: Floats, states: Floats, rooms: Floats
+    places: Floats,
+    radii: Floats,
+    counts: NDArray[np.int64],
+    discs: Floats,
+    states: Floats,
+    rooms: Floats,
 ) -> None:
     """Lower m [K,T] to those between a body of discs [J,3] in states [K,T,5] and what moves.
 
-    places: [T,M,2] m; radii: [T,M] m
+    places, radii, counts: of `Movers`
     """
+    reach = reach_of(discs)
     for k in range(len(states)):
         for t in range(states.shape[1]):
-            x, y, heading = states[k, t, 0], states[k, t, 1], states[k, t, 2]
-            cos, sin, room = np.cos(heading), np.sin(heading), rooms[k, t]
-            for j in range(len(discs)):
-                at_x = x + cos * discs[j, 0] - sin * discs[j, 1]
-                at_y = y + sin * discs[j, 0] + cos * discs[j, 1]
-                for m in range(radii.shape[1]):
-                    across, along = at_x - places[t, m, 0], at_y - places[t, m, 1]
-                    apart = radii[t, m] + discs[j, 2]
-                    far, square = apart + room, across * across + along * along
-                    if far > NONE and square < far * far:
-                        room = np.sqrt(square) - apart
+            x, y, heading, room = states[k, t, 0], states[k, t, 1], states[k, t, 2], rooms[k, t]
+            for m in range(counts[t]):
+                by_x, by_y = places[t, m, 0] - x, places[t, m, 1] - y
+                far = radii[t, m] + reach + room
+                if far <= NONE or by_x * by_x + by_y * by_y >= far * far:
+                    continue
+                cos, sin = np.cos(heading), np.sin(heading)
+                ahead, left = cos * by_x + sin * by_y, cos * by_y - sin * by_x
+                for j in range(len(discs)):
+                    by_x, by_y = ahead - discs[j, 0], left - discs[j, 1]
+                    apart = np.sqrt(by_x * by_x + by_y * by_y)
+                    room = min(room, apart - radii[t, m] - discs[j, 2])
             rooms[k, t] = room

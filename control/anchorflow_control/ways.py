@@ -16,13 +16,18 @@ SHORTEST = np.float32(0.02)  # m, by which the line between two motions is follo
 
 @compiled
 def is_same_way(
-    distance: Grid, places: Floats, radii: Floats, states: Floats, others: Floats
+    distance: Grid,
+    places: Floats,
+    radii: Floats,
+    counts: NDArray[np.int64],
+    states: Floats,
+    others: Floats,
 ) -> bool:
     """Return whether the straight lines between two motions [T,5] meet no obstacle.
 
     The places of one moment are joined: a motion before and one behind a mover differ too.
 
-    distance: m to obstacles; places, radii: of movers, [T,M,2] and [T,M] m
+    distance: m to obstacles; places, radii, counts: of `Movers`
     """
     for t in range(len(states)):
         x, y = states[t, 0], states[t, 1]
@@ -32,7 +37,7 @@ def is_same_way(
         while at < length:
             here_x, here_y = x + at / length * by_x, y + at / length * by_y
             room = value_at(distance, here_x, here_y)
-            for m in range(radii.shape[1]):
+            for m in range(counts[t]):
                 across, along = here_x - places[t, m, 0], here_y - places[t, m, 1]
                 room = min(room, np.sqrt(across * across + along * along) - radii[t, m])
             if room <= NONE:
@@ -51,7 +56,7 @@ def ways_of(
     motions on none of the first `most` ways have -1.
     """
     distance, movers = around.distance, around.movers
-    places, radii = movers.places, movers.radii
+    places, radii, counts = movers.places, movers.radii, movers.counts
     first = np.zeros(most, np.int64)
     of[:] = -1
     of[0], count = 0, 1
@@ -59,7 +64,7 @@ def ways_of(
         if k == 0:
             continue
         for way in range(count):
-            if is_same_way(distance, places, radii, states[first[way]], states[k]):
+            if is_same_way(distance, places, radii, counts, states[first[way]], states[k]):
                 of[k] = way
                 break
         if of[k] < 0 and count < most:
