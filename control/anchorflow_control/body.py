@@ -22,7 +22,7 @@ def discs_of(robot: Robot) -> NDArray[np.float32]:
     """
     if robot.radius is not None:
         return np.array([[0.0, 0.0, robot.radius]], np.float32)
-    corners = hull(np.asarray(robot.footprint, np.float64))
+    corners = np.asarray(robot.footprint, np.float64)
     half_width = _depth(_inside(corners, 0.02 * float(np.ptp(corners))), corners).max()
     outline = _outline(corners, OUTLINE * half_width)
     centres = np.concatenate([_inside(corners, CENTRES * half_width), outline])
@@ -33,33 +33,15 @@ def discs_of(robot: Robot) -> NDArray[np.float32]:
     return discs[discs[:, 2].argsort()[::-1]].astype(np.float32)
 
 
-def hull(points: Array) -> Array:
-    """Return the corners [K,2] of the convex hull, counter-clockwise (Andrew, 1979)."""
-    order = points[np.lexsort((points[:, 1], points[:, 0]))]
-    corners: list[Array] = []
-    for way in (order, order[::-1]):
-        half: list[Array] = []
-        for point in way:
-            while len(half) > 1 and _cross(half[-1] - half[-2], point - half[-2]) <= ROUNDING:
-                half.pop()
-            half.append(point)
-        corners += half[:-1]
-    return np.array(corners)
-
-
-def _cross(a: Array, b: Array) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
-
-
 def _depth(points: Array, corners: Array) -> Array:
-    """Return [P] m from points [P,2] to the nearest edge, negative outside the hull."""
+    """Return [P] m from points [P,2] to the nearest edge, negative outside the outline."""
     along = np.roll(corners, -1, axis=0) - corners
     inward = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
     return ((points[:, None] - corners) * inward).sum(-1).min(1)
 
 
 def _inside(corners: Array, spacing: float) -> Array:
-    """Return points [P,2] of a grid inside the hull, symmetric about its box's middle."""
+    """Return points [P,2] of a grid inside the outline, symmetric about its box's middle."""
     low, high = corners.min(0), corners.max(0)
     counts = 2 * np.ceil(0.5 * (high - low) / spacing).astype(int)
     axes = [np.linspace(low[i], high[i], counts[i] + 1) for i in range(2)]

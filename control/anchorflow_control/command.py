@@ -7,15 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_control.robot import Kind
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Command:
     """The velocity to hold until the next tick, and the motion that it begins."""
 
     u: NDArray[np.float64]
-    """[2]; omni: vx, vy in m/s in the map's frame; else v in m/s and turn rate in rad/s."""
+    """[2], as `Robot` says: vx, vy in m/s in the map's frame, or v in m/s and w in rad/s."""
     motion: NDArray[np.float64]
     """[T,3], x and y in m and heading in rad of the predicted motion at `times`."""
     times: NDArray[np.float64]
@@ -29,16 +27,15 @@ class Command:
     anchor: int | None = None
     """Index of the anchor that the motion follows; None if it follows none. For `Planner.follow`.
     """
-    kind: Kind
-    """Of the robot."""
-    heading: float
-    """rad, of the robot's state."""
+    sideways: float | None = None
+    """rad, the heading of a robot whose `u` is vx, vy; None for one that drives along its heading.
+    """
 
     @property
     def twist(self) -> NDArray[np.float64]:
         """[3], vx, vy in m/s and turn rate in rad/s in the robot's own frame, as ROS's Twist."""
-        if self.kind != "omni":
+        if self.sideways is None:
             return np.array([self.u[0], 0.0, self.u[1]])
-        ahead, aside = np.cos(self.heading), np.sin(self.heading)
+        cos, sin = np.cos(self.sideways), np.sin(self.sideways)
         x, y = self.u
-        return np.array([ahead * x + aside * y, ahead * y - aside * x, 0.0])
+        return np.array([cos * x + sin * y, cos * y - sin * x, 0.0])

@@ -190,7 +190,7 @@ class MppiController:
     def _unsafe(self, task: Task, tried: Motions, motions: Motions, k: int) -> str | None:
         """Return why a motion cannot be begun, if it collides before the robot could stop."""
         floor = min(0.0, self._guides.start_room, float(tried.rooms[BRAKING, 0])) - TOUCH
-        speed = np.hypot(*task.start[3:]) if self.robot.kind == "omni" else abs(task.start[3])
+        speed = np.hypot(*task.start[3:]) if self.robot.is_omni else abs(task.start[3])
         free_s = self.config.dt * motions.steps_clear(k, floor)
         if free_s > float(speed) / self.robot.a_max + RESERVE_S:
             return None
@@ -224,8 +224,7 @@ class MppiController:
             cost=float(motions.costs[k]),
             reason=reason,
             anchor=anchor,
-            kind=self.robot.kind,
-            heading=float(now[2]),
+            sideways=float(now[2]) if self.robot.is_omni else None,
         )
 
     def _fields_of(self, cost_map: CostMap | Mapping[str, Any]) -> MapFields:

@@ -42,7 +42,7 @@ class Limits(NamedTuple):
         most = robot.v_max if speed_limit is None else min(speed_limit, robot.v_max)
         sharpest = 1.0 / max(robot.min_turning_radius, 1.0 / SHARPEST)
         numbers = (most, max(robot.v_min, -most), robot.a_max, robot.omega_max, robot.alpha_max)
-        kind = OMNI if robot.kind == "omni" else WHEELS
+        kind = OMNI if robot.is_omni else WHEELS
         return Limits(kind, *map(np.float32, (*numbers, sharpest)))
 
     @property

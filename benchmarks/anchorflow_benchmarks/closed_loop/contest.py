@@ -25,6 +25,7 @@ from anchorflow_benchmarks.closed_loop.anchor_sources import (
     LossySource,
     RoutesSource,
 )
+from anchorflow_benchmarks.closed_loop.controllers import AnchorController, Controller
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.results import Result, RunKey, RunLog, contest_tables
@@ -33,10 +34,12 @@ from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, Si
 from anchorflow_benchmarks.closed_loop.worlds import World, load_worlds
 from anchorflow_benchmarks.planners import open_bundle, parse_sampler
 from anchorflow_benchmarks.report import progress, report
+from anchorflow_benchmarks.turns import p50
 from anchorflow_cli.options import StyleOption, file_option, style_text, url_option
 from anchorflow_client.contract import ModelCard
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.planner import AnchorSource, Planner
+from anchorflow_control import MppiConfig as ControlConfig
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.local import LocalClient
@@ -51,20 +54,31 @@ SOURCES = {
 }
 
 
+CONTROLLERS = {"anchorflow": "AnchorFlow's MPPI", "pytorch_mppi": "pytorch_mppi"}
+"""The controllers that drive, and their names in the table."""
+
+
 @dataclass(frozen=True)
 class Contender:
     """name: in the table; anchors: None, "lines", "routes" or "served"
 
-    samples: motions that MPPI rolls out per tick, anchors included
+    samples: motions that MPPI rolls out per tick, anchors included; controller: of CONTROLLERS
     """
 
     name: str
     anchors: str | None
     samples: int
+    controller: str = "pytorch_mppi"
 
 
-def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
-    """Return MPPI alone and with each source of anchors, for each number of motions.
+def contenders_of(
+    motions: Sequence[int],
+    *,
+    anchors: int,
+    controllers: Sequence[str] = tuple(CONTROLLERS),
+    sources: Sequence[str | None] = tuple(SOURCES.values()),
+) -> list[Contender]:
+    """Return each controller alone and with each source of anchors, for each number of motions.
 
     Raises `BenchmarkError` if there are fewer motions than anchors and two more.
     """
@@ -74,9 +88,11 @@ def contenders_of(motions: Sequence[int], *, anchors: int) -> list[Contender]:
             f"got {few[0]}"
         )
     return [
-        Contender(f"MPPI{by}, {count} motions", source, count)
+        Contender(f"{CONTROLLERS[controller]}{by}, {count} motions", source, count, controller)
         for count in motions
+        for controller in controllers
         for by, source in SOURCES.items()
+        if source in sources
     ]
 
 
@@ -98,6 +114,7 @@ class ContestConfig:
     lost: float = 0.0
     robot: str = "unicycle"
     mppi: MppiConfig = field(default_factory=MppiConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
 
 
@@ -157,9 +174,7 @@ def run_contest(
 def run_heat(heat: Heat, config: ContestConfig) -> Result:
     """Make one run in this process."""
     clock, contender = SimulatedTime(), heat.contender
-    robot = ROBOTS[config.robot]()
-    mppi = replace(config.mppi, samples=contender.samples)
-    controller = MppiController(robot, mppi, tick_s=config.drive.tick_s)
+    controller, margin = _controller(heat, config)
     fixed_s = None if config.latency_ms is None else 1e-3 * config.latency_ms
     stopwatch = process_time if config.url is None else perf_counter
     executor = LatencyExecutor(clock, stopwatch=stopwatch, fixed_s=fixed_s)
@@ -167,7 +182,7 @@ def run_heat(heat: Heat, config: ContestConfig) -> Result:
         planner = None
         if source is not None:
             source = LossySource(source, share=config.lost, seed=heat.seed)
-            asking = config.drive.asking(mppi.cost.margin)
+            asking = config.drive.asking(margin)
             planner = Planner(source, asking, clock=clock, executor=executor)
         drive = Drive(
             heat.world,
@@ -180,7 +195,20 @@ def run_heat(heat: Heat, config: ContestConfig) -> Result:
         run = drive.run()
     latencies = tuple(1e3 * seconds for seconds in executor.latencies_s)
     world = heat.world
-    return Result(contender.name, world.name, heat.seed, world.path_length, run, latencies)
+    command_ms = p50([1e3 * seconds for seconds in drive.commands_s]) if drive.commands_s else None
+    return Result(
+        contender.name, world.name, heat.seed, world.path_length, run, latencies, command_ms
+    )
+
+
+def _controller(heat: Heat, config: ContestConfig) -> tuple[Controller, float]:
+    """Return the controller of a run, and the margin in m that it keeps."""
+    robot, tick_s, samples = ROBOTS[config.robot](), config.drive.tick_s, heat.contender.samples
+    if heat.contender.controller == "pytorch_mppi":
+        rival = replace(config.mppi, samples=samples)
+        return MppiController(robot, rival, tick_s=tick_s), rival.cost.margin
+    own = replace(config.control, motions=samples)
+    return AnchorController(robot, own, tick_s=tick_s, seed=heat.seed), own.margin
 
 
 @contextmanager

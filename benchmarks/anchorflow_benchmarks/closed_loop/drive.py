@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from anchorflow_benchmarks.closed_loop.cost_to_go import ClearanceGrid
+from anchorflow_benchmarks.closed_loop.controllers import Controller, Sight
 from anchorflow_benchmarks.closed_loop.lidar_mapping import Lidar, LocalMap
-from anchorflow_benchmarks.closed_loop.mppi import MppiController
-from anchorflow_benchmarks.closed_loop.path_following import timed_paths
 from anchorflow_benchmarks.closed_loop.simulated_time import SimulatedTime
 from anchorflow_benchmarks.closed_loop.worlds import GOAL_TOLERANCE, World
 from anchorflow_client.planner import Planner, PlannerConfig
@@ -26,7 +25,6 @@ MAX_SLOWDOWN = 4.0  # of time in a request
 OWN_DISC = 0.8  # of the robot's radius; hits within it are noise
 PERIOD_MS = 200.0
 GOAL_CLEARANCE = 0.45  # m round local goals, which are passed at speed
-OFF_ROUTE = 1.5  # m added to the length of anchors off the planner's route
 SLOW_THROUGH = 0.6  # m/s at local goals in slow motion
 
 
@@ -101,7 +99,7 @@ class Drive:
     def __init__(
         self,
         world: World,
-        controller: MppiController,
+        controller: Controller,
         *,
         planner: Planner | None = None,
         clock: SimulatedTime | None = None,
@@ -131,6 +129,8 @@ class Drive:
         self._clearance = world.clearance(world.start[:2], self.robot.radius)
         self._length = 0.0
         self._ticks_braked = 0
+        self.commands_s: list[float] = []
+        """Processor time of each command."""
         torch.manual_seed(seed)
 
     def run(self, on_tick: Callable[[Tick], None] | None = None) -> Run:
@@ -150,16 +150,9 @@ class Drive:
         pose = robot.pose(self.state)
         local.add(self._lidar.scan(self.world, pose, self._rng))
         occupied = local.occupied_beyond(pose[:2], OWN_DISC * robot.radius)
-        grid = ClearanceGrid.of(
-            occupied,
-            resolution=local.resolution,
-            origin=local.origin,
-            robot_radius=robot.radius,
-            surface=local.surface,
-        )
-        goal = torch.tensor(self.world.goal, dtype=torch.float32)
+        sight = Sight(occupied, local.resolution, local.origin, local.surface)
         if self._planner is None:
-            return self._controller.command(self.state, grid=grid, goal=goal)[0], None
+            return self._commanded(sight)[0], None
         plan = self._planner.update(
             cost_map=occupied,
             resolution=local.resolution,
@@ -176,21 +169,19 @@ class Drive:
             self._controller.rest()
             self._ticks_braked += 1
             return robot.braking(self.state, self.config.tick_s), plan
-        assert plan.on_route is not None  # the plan is usable
         if plan.stuck:
             self._controller.rest()
-        paths, paces = timed_paths(plan, period_s=self._controller.config.dt)
-        command, chosen = self._controller.command(
-            self.state,
-            grid=grid,
-            goal=goal,
-            paths=paths,
-            paces=paces if self.config.horizon_s is None else None,
-            handicap=OFF_ROUTE * torch.from_numpy(~plan.on_route),
-        )
+        command, chosen = self._commanded(sight, plan)
         if chosen is not None:
             self._planner.follow(chosen)
         return command, plan
+
+    def _commanded(self, sight: Sight, plan: Plan | None = None) -> tuple[Tensor, int | None]:
+        """Return the controller's control [U] and the anchor it follows, and time it."""
+        began = process_time()
+        command = self._controller.command(self.state, sight=sight, goal=self.world.goal, plan=plan)
+        self.commands_s.append(process_time() - began)
+        return command
 
     def _in_slow_motion(self, x_curr: NDArray[np.floating]) -> NDArray[np.floating]:
         """Return the state [6] in slowed time, if all anchors have the same duration.
@@ -230,7 +221,7 @@ class Drive:
             occupied=self._map.occupied,
             resolution=self._map.resolution,
             origin=self._map.origin,
-            ahead=self._controller.planned(self.state)[:, :2].numpy(),
+            ahead=self._controller.planned(self.state),
             plan=plan,
         )
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from pytorch_mppi import MPPI
 from pytorch_mppi.mppi import SpecificActionSampler
 from torch import Tensor
 
+from anchorflow_benchmarks.closed_loop.controllers import Array, Sight
 from anchorflow_benchmarks.closed_loop.cost_to_go import (
     ClearanceGrid,
     CostToGo,
@@ -23,12 +25,14 @@ from anchorflow_benchmarks.closed_loop.cost_to_go import (
     clear_paths,
     rollout,
 )
-from anchorflow_benchmarks.closed_loop.path_following import motions_along
+from anchorflow_benchmarks.closed_loop.path_following import motions_along, timed_paths
 from anchorflow_benchmarks.closed_loop.robots import Robot
+from anchorflow_client.planner import Plan
 
 STANDING = 2  # motions without an anchor: the current plan and braking
 ANCHOR_SHARE = 0.25  # of the motions of a tick, at most
 KEPT_S = 2.0  # that the cost to go is kept if the next answers have no clear anchor
+OFF_ROUTE = 1.5  # m added to the length of anchors off the planner's route
 BLOCKED_COST = 100.0  # m added to the length of an anchor that is not clear
 
 
@@ -93,29 +97,36 @@ class MppiController:
         self._ticks_kept = 0
 
     def command(
-        self,
-        state: Tensor,
-        *,
-        grid: ClearanceGrid,
-        goal: Tensor,
-        paths: Tensor | None = None,
-        paces: Tensor | None = None,
-        handicap: Tensor | None = None,
+        self, state: Tensor, *, sight: Sight, goal: Array, plan: Plan | None = None
     ) -> tuple[Tensor, int | None]:
-        """Return the control [U] for a state [X], and the index of the path it follows or None.
+        """Return the control [U] for a state [X], and the index of the anchor it follows or None.
 
-        grid: of the known obstacles; goal: [2] m; paths: [M, S, 2] m, anchors from the robot's
-        place; paces: [M, S] m/s along them, None for the cruise of MppiConfig; handicap: [M] m
-        added to the length of each.
+        goal: [2] m; plan: usable, or None without anchors. Anchors of equal durations are driven
+        at the cruise of MppiConfig, others at their own pace.
         """
-        self._grid, self._goal = grid, goal
+        self._grid = ClearanceGrid.of(
+            sight.occupied,
+            resolution=sight.resolution,
+            origin=sight.origin,
+            robot_radius=self.robot.radius,
+            surface=sight.surface,
+        )
+        self._goal = torch.from_numpy(np.asarray(goal, np.float32))
+        paths = paces = handicap = None
+        if plan is not None:
+            assert plan.batch is not None  # the plan is usable
+            assert plan.on_route is not None
+            paths, paces = timed_paths(plan, period_s=self.config.dt)
+            if not np.ndim(plan.batch.dt):
+                paces = None
+            handicap = OFF_ROUTE * torch.from_numpy(~plan.on_route)
         self._ticks_kept -= 1
         if self._ticks_kept <= 0:
             self._to_go = None
         self._shift()
         plans, motions = self._standing_plans(state)
         tried: list[int] = []
-        if paths is not None:
+        if paths is not None and handicap is not None:
             tried = self._worth_trying(paths, handicap)
             ways, pace = paths[tried], None if paces is None else paces[tried]
             controls, driven = self._along(state, ways, pace)
@@ -139,9 +150,10 @@ class MppiController:
         """Drop the plan, so that the robot brakes."""
         self._held.plan = torch.zeros_like(self._held.plan)
 
-    def planned(self, state: Tensor) -> Tensor:
-        """Return the planned states [T, X] after [X]."""
-        return rollout(self.robot, state, self._held.plan[None], self.config.dt)[0]
+    def planned(self, state: Tensor) -> Array:
+        """Return the planned places [T, 2] in m after a state [X]."""
+        states = rollout(self.robot, state, self._held.plan[None], self.config.dt)[0]
+        return states[:, :2].numpy()
 
     def _shift(self) -> None:
         """Advance the plan by a tick; zero controls are appended."""
@@ -164,13 +176,14 @@ class MppiController:
             torch.cat([motion, torch.stack(states, 1)]),
         )
 
-    def _worth_trying(self, paths: Tensor, handicap: Tensor | None) -> list[int]:
+    def _worth_trying(self, paths: Tensor, extra: Tensor) -> list[int]:
         """Return the indices of paths to drive along, the shortest clear ones first.
 
         Clear paths also update the cost to go, which is kept for KEPT_S without a clear path.
+
+        extra: [M] m added to the length of each
         """
         clear = clear_paths(paths, self._grid, self.config.cost.margin)
-        extra = torch.zeros(len(paths)) if handicap is None else handicap
         if bool(clear.any()):
             self._to_go = CostToGo.along(paths[clear], self._goal, extra[clear])
             self._ticks_kept = round(KEPT_S / self._tick_s)

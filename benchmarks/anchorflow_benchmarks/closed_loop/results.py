@@ -30,7 +30,10 @@ RunKey = tuple[str, str, int]
 
 @dataclass(frozen=True)
 class Result:
-    """One run of a contender in a world; latencies: ms of its requests for anchors."""
+    """One run of a contender in a world; latencies: ms of its requests for anchors.
+
+    command_ms: median processor time of a command; None in logs of older versions
+    """
 
     contender: str
     world: str
@@ -38,6 +41,7 @@ class Result:
     path_length: float
     run: Run
     latencies_ms: tuple[float, ...] = ()
+    command_ms: float | None = None
 
     @property
     def score(self) -> float:
@@ -82,6 +86,7 @@ def _row(own: Sequence[Result], first: Sequence[Result]) -> Row:
         "clearance m": _mean([run.clearance for run in arrived]),
         "ticks braked": sum(run.ticks_braked for run in runs),
         "request p50 ms": p50(latencies) if latencies else None,
+        "command ms": _mean([r.command_ms for r in own if r.command_ms is not None]),
     }
 
 
