@@ -25,6 +25,7 @@ INTERVALS = {
     "collision": AT_LEAST_0,
     "nearness": AT_LEAST_0,
     "distance": AT_LEAST_0,
+    "arrival": AT_LEAST_0,
     "effort": AT_LEAST_0,
     "smoothness": AT_LEAST_0,
     "reversing": AT_LEAST_0,
@@ -62,10 +63,13 @@ class MppiConfig:
     collision: float = 100.0
     """Cost of a second in collision."""
     nearness: float = 2.0
-    distance: float = 0.1
+    """Cost of a metre just beyond the margin; it falls to 0 with the square of what is left."""
+    distance: float = 0.3
     """Cost of a second per m from the goal."""
+    arrival: float = 1.0
+    """The same within 1 m of the goal, in addition."""
     effort: float = 0.02
-    """Cost of a second at full acceleration."""
+    """Cost of a second at full acceleration, and of one at the full turn rate."""
     smoothness: float = 0.02
     """Cost of a second in which the acceleration changes by its limit at each step."""
     reversing: float = 0.5

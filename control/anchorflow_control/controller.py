@@ -22,7 +22,7 @@ from anchorflow_control.body import discs_of
 from anchorflow_control.command import Command
 from anchorflow_control.config import MppiConfig
 from anchorflow_control.cost_to_go import WayLeft
-from anchorflow_control.dynamics import Limits, brake, step
+from anchorflow_control.dynamics import Limits, brake, braking, step
 from anchorflow_control.guides import Guides
 from anchorflow_control.robot import Robot
 from anchorflow_control.rollout import Motions, Task, Weights
@@ -34,7 +34,7 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 TICK = Interval(0.0, 1.0, "s", open_low=True)
-HELD, BRAKING, STANDING = 0, 1, 2  # motions without an anchor, and how many there are
+HELD, ENDED, BRAKING, STANDING = 0, 1, 2, 3  # motions without an anchor, and how many there are
 WAYS = 3  # that are disturbed at a tick
 RESERVE_S = 0.5  # beyond the time to stop, in which a motion must not collide
 TOUCH = 1e-3  # m, by which a robot in contact may come nearer
@@ -78,6 +78,7 @@ class MppiController:
     def reset(self) -> None:
         """Drop the motion in progress: for another goal, or after a move by hand."""
         self._held = np.zeros((self.config.steps, 2), np.float32)
+        self._ending = (0.0, 0.0)
         self._guides.reset()
 
     def command(
@@ -145,7 +146,7 @@ class MppiController:
         motions, k = (refined, way) if better[way] else (tried, starts[way])
         if (reason := self._unsafe(task, tried, motions, k)) is not None:
             return self._brake(task, now, reason)
-        self._held = motions.controls[k]
+        self._hold(task, motions, k)
         along = np.flatnonzero(of[STANDING:] == of[starts[way]])
         anchor = None
         if len(along):
@@ -156,10 +157,12 @@ class MppiController:
         """Roll out the motion in progress, braking, and motions along anchors."""
         steps, share = self.config.steps, self.tick_s / self.config.dt
         controls = np.empty((STANDING + len(references), steps, 2), np.float32)
-        # The motion in progress, a tick later; then the robot keeps its velocity.
+        # The motion in progress, a tick later; then the robot keeps its velocity, or brakes.
         at = np.arange(steps) + share
         for i in range(2):
-            controls[HELD, :, i] = np.interp(at, np.arange(steps), self._held[:, i], right=0.0)
+            for k, end in ((HELD, 0.0), (ENDED, self._ending[i])):
+                held = np.append(self._held[:, i], np.float32(end))
+                controls[k, :, i] = np.interp(at, np.arange(steps + 1), held)
         brake(task.limits, task.start, task.dt, controls[BRAKING])
         follow(task.limits, task.start, references, task.dt, controls[STANDING:])
         return Motions.under(task, controls)
@@ -185,7 +188,14 @@ class MppiController:
         disturb(means, self._noise.draw(count), noise, scale, controls)
         drawn = Motions.under(task, controls)
         weigh(drawn.costs, controls, np.float32(config.temperature), means)
-        return Motions.under(task, means)
+        mean = Motions.under(task, means)
+        # The mean of motions past both sides of a post is a bad motion: then the best one counts.
+        best = [
+            int(drawn.costs[way :: len(starts)].argmin()) * len(starts) + way
+            for way in range(len(starts))
+        ]
+        failed = mean.costs > tried.costs[starts]
+        return mean.replaced(failed, drawn, np.array(best))
 
     def _unsafe(self, task: Task, tried: Motions, motions: Motions, k: int) -> str | None:
         """Return why a motion cannot be begun, if it collides before the robot could stop."""
@@ -199,8 +209,15 @@ class MppiController:
     def _brake(self, task: Task, now: Array, reason: str) -> Command:
         controls = np.empty((1, self.config.steps, 2), np.float32)
         brake(task.limits, task.start, task.dt, controls[0])
-        self._held = controls[0]
-        return self._command(task, now, Motions.under(task, controls), 0, reason=reason)
+        controls[0, 0] = braking(task.limits, tuple(task.start), np.float32(self.tick_s))
+        motions = Motions.under(task, controls)
+        self._hold(task, motions, 0)
+        return self._command(task, now, motions, 0, reason=reason)
+
+    def _hold(self, task: Task, motions: Motions, k: int) -> None:
+        """Keep a motion as that in progress."""
+        self._held = motions.controls[k]
+        self._ending = braking(task.limits, tuple(motions.states[k, -1]), task.dt)
 
     def _command(
         self,

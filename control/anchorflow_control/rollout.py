@@ -1,7 +1,7 @@
 """Roll out and cost many motions at once.
 
-J = sum_t dt (collision + nearness + distance + effort + smoothness + reversing + soft costs)
-    + terminal * metres left from the end of the motion
+J = sum_t dt (collision + nearness + distance + arrival + effort + smoothness + reversing
+              + soft costs) + terminal * metres left from the end of the motion
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from anchorflow_trajectory.compiled import compiled
 
 Floats = NDArray[np.float32]
 
-NONE, ONE, REST, DEEPER = map(np.float32, (0.0, 1.0, 0.3, 4.0))
+NONE, HALF, ONE, DEEPER = map(np.float32, (0.0, 0.5, 1.0, 4.0))
+STOPS = 2  # places at which a motion is checked while the robot would brake after its end
+REST = np.float32(0.1)  # m/s, added to the speed near obstacles
 
 
 class Weights(NamedTuple):
@@ -37,6 +39,7 @@ class Weights(NamedTuple):
     collision: np.float32
     nearness: np.float32
     distance: np.float32
+    arrival: np.float32
     effort: np.float32
     smoothness: np.float32
     reversing: np.float32
@@ -90,7 +93,22 @@ class Motions:
         charge(
             task.limits, task.weights, task.dt, task.goal, surcharge, controls, states, rooms, costs
         )
+        stops = np.empty((count, STOPS, 5), np.float32)
+        stopping_places(task.limits, states, stops)
+        charge_stops(
+            task.weights, task.limits, states, clearances(task, stops, moving=False), costs
+        )
         return Motions(controls, costs, states, rooms)
+
+    def replaced(
+        self, these: NDArray[np.bool_], others: Motions, indices: NDArray[np.intp]
+    ) -> Motions:
+        """Return the motions, with these [K] replaced by the others of indices [K]."""
+        fields = {}
+        for name, own in vars(self).items():
+            other = getattr(others, name)[indices]
+            fields[name] = np.where(these.reshape(-1, *[1] * (own.ndim - 1)), other, own)
+        return Motions(**fields)
 
     def steps_clear(self, k: int, floor: float) -> int:
         """Return the steps that motion k stays at least `floor` m from everything."""
@@ -142,14 +160,54 @@ def charge(
             speed = np.sqrt(v * v + w * w) if limits.kind == OMNI else abs(v)
             cost += _place_cost(weights, rooms[k, t] - weights.margin, speed)
             away_x, away_y = x - goal[0], y - goal[1]
-            cost += weights.distance * np.sqrt(away_x * away_x + away_y * away_y)
-            cost += weights.effort * (first * first + second * second)
+            away = np.sqrt(away_x * away_x + away_y * away_y)
+            cost += weights.distance * away + weights.arrival * min(away, ONE)
+            turn = NONE if limits.kind == OMNI else w / limits.omega_max
+            cost += weights.effort * (first * first + second * second + turn * turn)
             cost += weights.smoothness * (jerk * jerk + jolt * jolt)
             if limits.kind != OMNI:
                 cost += weights.reversing * max(-v, NONE)
             if is_dear:
                 cost += weights.terminal * speed * value_at(surcharge, x, y)
         costs[k] = dt * cost + weights.terminal * costs[k]
+
+
+@compiled
+def stopping_places(limits: Limits, states: Floats, stops: Floats) -> None:
+    """Write states [K,STOPS,5] straight on from the ends of motions [K,T,5], up to standstill."""
+    end = states.shape[1] - 1
+    for k in range(len(states)):
+        heading, v, w = states[k, end, 2], states[k, end, 3], states[k, end, 4]
+        speed = np.sqrt(v * v + w * w) if limits.kind == OMNI else v
+        by_x, by_y = speed * np.cos(heading), speed * np.sin(heading)
+        if limits.kind == OMNI:
+            by_x, by_y = v, w
+        # Half the speed times the time to stop.
+        lasting = HALF * abs(speed) / limits.a_max
+        for i in range(STOPS):
+            share = lasting * np.float32((i + 1) / STOPS)
+            stops[k, i, :] = states[k, end, :]
+            stops[k, i, 0] += share * by_x
+            stops[k, i, 1] += share * by_y
+
+
+@compiled
+def charge_stops(
+    weights: Weights, limits: Limits, states: Floats, rooms: Floats, costs: Floats
+) -> None:
+    """Add to costs [K] the collisions of robots that brake at the ends of motions [K,T,5].
+
+    rooms: [K,STOPS] m at the stopping places
+    """
+    end = states.shape[1] - 1
+    for k in range(len(states)):
+        v, w = states[k, end, 3], states[k, end, 4]
+        speed = np.sqrt(v * v + w * w) if limits.kind == OMNI else abs(v)
+        for i in range(STOPS):
+            spare = rooms[k, i] - weights.margin
+            if spare < NONE:
+                lasting = speed / limits.a_max / np.float32(STOPS)
+                costs[k] += lasting * weights.collision * (ONE - DEEPER * spare)
 
 
 @compiled

@@ -12,7 +12,7 @@ Floats = NDArray[np.float32]
 
 BANK = 4  # times as many disturbances are kept as are drawn at a tick
 KNOT_S = 0.4  # s between the knots of smooth disturbances
-SMALLEST = 0.25  # of the noise, at which a motion is disturbed least
+SMALLEST = 0.05  # of the noise, at which a motion is disturbed least
 ONE = np.float32(1.0)
 
 

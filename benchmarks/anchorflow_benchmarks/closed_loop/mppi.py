@@ -104,29 +104,52 @@ class MppiController:
         goal: [2] m; plan: usable, or None without anchors. Anchors of equal durations are driven
         at the cruise of MppiConfig, others at their own pace.
         """
-        self._grid = ClearanceGrid.of(
+        grid = ClearanceGrid.of(
             sight.occupied,
             resolution=sight.resolution,
             origin=sight.origin,
             robot_radius=self.robot.radius,
             surface=sight.surface,
         )
-        self._goal = torch.from_numpy(np.asarray(goal, np.float32))
-        paths = paces = handicap = None
-        if plan is not None:
-            assert plan.batch is not None  # the plan is usable
-            assert plan.on_route is not None
-            paths, paces = timed_paths(plan, period_s=self.config.dt)
-            if not np.ndim(plan.batch.dt):
-                paces = None
-            handicap = OFF_ROUTE * torch.from_numpy(~plan.on_route)
+        target = torch.from_numpy(np.asarray(goal, np.float32))
+        if plan is None:
+            return self.decide(state, grid=grid, goal=target)
+        assert plan.batch is not None  # the plan is usable
+        assert plan.on_route is not None
+        paths, paces = timed_paths(plan, period_s=self.config.dt)
+        return self.decide(
+            state,
+            grid=grid,
+            goal=target,
+            paths=paths,
+            paces=paces if np.ndim(plan.batch.dt) else None,
+            handicap=OFF_ROUTE * torch.from_numpy(~plan.on_route),
+        )
+
+    def decide(
+        self,
+        state: Tensor,
+        *,
+        grid: ClearanceGrid,
+        goal: Tensor,
+        paths: Tensor | None = None,
+        paces: Tensor | None = None,
+        handicap: Tensor | None = None,
+    ) -> tuple[Tensor, int | None]:
+        """Return the control [U] for a state [X], and the index of the path it follows or None.
+
+        grid: of the known obstacles; goal: [2] m; paths: [M, S, 2] m, anchors from the robot's
+        place; paces: [M, S] m/s along them, None for the cruise of MppiConfig; handicap: [M] m
+        added to the length of each.
+        """
+        self._grid, self._goal = grid, goal
         self._ticks_kept -= 1
         if self._ticks_kept <= 0:
             self._to_go = None
         self._shift()
         plans, motions = self._standing_plans(state)
         tried: list[int] = []
-        if paths is not None and handicap is not None:
+        if paths is not None:
             tried = self._worth_trying(paths, handicap)
             ways, pace = paths[tried], None if paces is None else paces[tried]
             controls, driven = self._along(state, ways, pace)
@@ -176,14 +199,13 @@ class MppiController:
             torch.cat([motion, torch.stack(states, 1)]),
         )
 
-    def _worth_trying(self, paths: Tensor, extra: Tensor) -> list[int]:
+    def _worth_trying(self, paths: Tensor, handicap: Tensor | None) -> list[int]:
         """Return the indices of paths to drive along, the shortest clear ones first.
 
         Clear paths also update the cost to go, which is kept for KEPT_S without a clear path.
-
-        extra: [M] m added to the length of each
         """
         clear = clear_paths(paths, self._grid, self.config.cost.margin)
+        extra = torch.zeros(len(paths)) if handicap is None else handicap
         if bool(clear.any()):
             self._to_go = CostToGo.along(paths[clear], self._goal, extra[clear])
             self._ticks_kept = round(KEPT_S / self._tick_s)

@@ -26,18 +26,21 @@ from anchorflow_benchmarks.closed_loop.mppi import MppiConfig
 from anchorflow_benchmarks.closed_loop.worlds import World
 from anchorflow_client import AnchorRequest
 from anchorflow_client.contract import CostMap, RefineChoice
+from anchorflow_control import MppiConfig as ControlConfig
 from anchorflow_export.bundle import record_quality
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
-ALONE = Contender("MPPI", None, 48)
+ALONE = Contender("MPPI", None, 48, "anchorflow")
 LINES = Contender("lines", "lines", 48)
 ROUTES = Contender("routes", "routes", 48)
 SERVED = Contender("served", "served", 48)
+OWN = Contender("own", "served", 48, "anchorflow")
 CONFIG = ContestConfig(
     bundle=DEFAULT_BUNDLE,
     threads=1,
     latency_ms=60.0,
     mppi=MppiConfig(steps=15),
+    control=ControlConfig(steps=15),
     drive=DriveConfig(
         limit_s=0.5,
         map_cells=64,
@@ -72,7 +75,7 @@ def test_every_contender_runs_in_every_world_with_every_seed(world: Callable[...
         assert alone.run == result.run  # whichever process it ran in
 
 
-@pytest.mark.parametrize("contender", [SERVED, ROUTES])
+@pytest.mark.parametrize("contender", [SERVED, ROUTES, OWN])
 def test_anchors_arrive_as_late_as_they_take(
     contender: Contender, world: Callable[..., World]
 ) -> None:
@@ -123,16 +126,16 @@ def test_it_drives_and_writes_its_tables(
     options = ("--limit", 2, *LITTLE, "--latency-ms", 60, "--out", tmp_path)
     succeed("bench", "closed-loop", "drawn:3:1", *options)
 
-    assert "MPPI + served anchors, 24 motions" in capsys.readouterr().out
+    assert "AnchorFlow's MPPI + served anchors, 24 motions" in capsys.readouterr().out
     written = json.loads((tmp_path / "closed_loop.json").read_text())
     contenders, worlds = (table["rows"] for table in written["tables"])
     assert [row["contender"] for row in contenders] == [
-        "MPPI, 24 motions",
-        "MPPI + straight lines, 24 motions",
-        "MPPI + routes and finish, 24 motions",
-        "MPPI + served anchors, 24 motions",
+        f"{controller}{anchors}, 24 motions"
+        for controller in ("AnchorFlow's MPPI", "pytorch_mppi")
+        for anchors in ("", " + straight lines", " + routes and finish", " + served anchors")
     ]
-    assert [row["request p50 ms"] for row in contenders] == [None, 60.0, 60.0, 60.0]
+    assert [row["request p50 ms"] for row in contenders] == 2 * [None, 60.0, 60.0, 60.0]
+    assert all(row["command ms"] > 0.0 for row in contenders)
     assert [row["world"] for row in worlds] == ["drawn 1000", "drawn 1002"]
     assert written["about"]["latency"] == "60 ms"
     assert (tmp_path / "closed_loop.md").exists()

@@ -77,7 +77,7 @@ def test_mppi_drives_off_towards_the_goal() -> None:
     mppi = MppiController(Unicycle(), MppiConfig(samples=64, steps=20), tick_s=0.1)
     state = Unicycle().start(np.zeros(3))
     for _ in range(10):
-        command, chosen = mppi.command(state, grid=free, goal=GOAL)
+        command, chosen = mppi.decide(state, grid=free, goal=GOAL)
         state = Unicycle().step(state, command, 0.1)
         assert chosen is None
     assert float(state[0]) > 0.5
@@ -95,7 +95,7 @@ def test_an_anchor_round_a_wall_is_gone_on_from() -> None:
     paths = torch.from_numpy(np.stack([blind, round_it])).float()
     config = MppiConfig(steps=60, samples=64, cruise=1.0)
     mppi = MppiController(Unicycle(), config, tick_s=0.1)
-    _, chosen = mppi.command(state, grid=grid_of(occupied), goal=GOAL, paths=paths)
+    _, chosen = mppi.decide(state, grid=grid_of(occupied), goal=GOAL, paths=paths)
 
     assert chosen == 1
     assert float(mppi.planned(state)[-1, 1]) < -1.0
@@ -115,7 +115,7 @@ def test_every_tick_rolls_out_the_same_number_of_motions(anchors: int) -> None:
     mppi = MppiController(Counting(), config, tick_s=0.1)
     paths = torch.zeros(anchors, 64, 2) if anchors else None
     state, free = Unicycle().start(np.zeros(3)), grid_of(np.zeros((40, 40), bool))
-    mppi.command(state, grid=free, goal=GOAL, paths=paths)
+    mppi.decide(state, grid=free, goal=GOAL, paths=paths)
 
     assert rolled == 32 * 10
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource
+from anchorflow_benchmarks.closed_loop.controllers import AnchorController, Controller
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, End, Tick
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.robots import DoubleIntegrator, Robot, Unicycle
@@ -17,6 +18,7 @@ from anchorflow_benchmarks.closed_loop.worlds import World
 from anchorflow_client import AnchorBatch, AnchorRequest, ConnectionFailed
 from anchorflow_client.planner import AnchorSource, Planner, PlannerConfig
 from anchorflow_client.planner.plan import PlanState
+from anchorflow_control import MppiConfig as ControlConfig
 
 SMALL = MppiConfig(samples=64, steps=20)
 MAP = {"map_cells": 96, "map_resolution": 0.1}
@@ -26,9 +28,20 @@ def controller(robot: Robot | None = None) -> MppiController:
     return MppiController(robot or Unicycle(), SMALL, tick_s=0.1)
 
 
+def anchor_controller(robot: Robot | None = None) -> AnchorController:
+    config = ControlConfig(motions=64, steps=20)
+    return AnchorController(robot or Unicycle(), config, tick_s=0.1)
+
+
+MAKERS = [controller, anchor_controller]
+
+
+@pytest.mark.parametrize("make", MAKERS)
 @pytest.mark.parametrize("robot", [Unicycle(), DoubleIntegrator()])
-def test_an_empty_world_is_crossed(robot: Robot, world: Callable[..., World]) -> None:
-    run = Drive(world(), controller(robot), config=DriveConfig(**MAP)).run()
+def test_an_empty_world_is_crossed(
+    robot: Robot, make: Callable[[Robot], Controller], world: Callable[..., World]
+) -> None:
+    run = Drive(world(), make(robot), config=DriveConfig(**MAP)).run()
 
     assert run.end is End.GOAL
     assert 2.5 < run.time_s < 8.0  # 5 m to where the goal counts as reached, at 2 m/s at most
@@ -45,10 +58,13 @@ def test_the_same_seed_is_the_same_run(world: Callable[..., World]) -> None:
     assert runs[0] != runs[2]
 
 
-def test_a_robot_that_is_shut_in_runs_out_of_time(world: Callable[..., World]) -> None:
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_robot_that_is_shut_in_runs_out_of_time(
+    make: Callable[[], Controller], world: Callable[..., World]
+) -> None:
     angles = np.linspace(0.0, 2 * np.pi, 60)
     ring = 1.2 * np.stack([np.cos(angles), np.sin(angles)], 1)
-    run = Drive(world(ring), controller(), config=DriveConfig(limit_s=3.0, **MAP)).run()
+    run = Drive(world(ring), make(), config=DriveConfig(limit_s=3.0, **MAP)).run()
 
     assert run.end is End.TIMEOUT
     assert run.time_s == 3.0
@@ -97,10 +113,14 @@ class Outage:
         return self.lines.plan_request(request)
 
 
+@pytest.mark.parametrize("make", MAKERS)
 @pytest.mark.parametrize("robot", [Unicycle(), DoubleIntegrator()])
 @pytest.mark.parametrize("max_age_ms", [600.0, 3000.0])
 def test_a_service_that_stops_for_two_seconds_is_survived(
-    robot: Robot, max_age_ms: float, world: Callable[..., World]
+    robot: Robot,
+    max_age_ms: float,
+    make: Callable[[Robot], Controller],
+    world: Callable[..., World],
 ) -> None:
     clock, ticks, speeds = SimulatedTime(), [], []
     outage = Outage(clock, 1.0, 3.0)
@@ -108,7 +128,7 @@ def test_a_service_that_stops_for_two_seconds_is_survived(
     planner = Planner(outage, PlannerConfig(max_age_ms=max_age_ms), clock=clock, executor=executor)
     drive = Drive(
         world(),
-        controller(robot),
+        make(robot),
         planner=planner,
         clock=clock,
         config=DriveConfig(options={"num_samples": 8}, **MAP),
