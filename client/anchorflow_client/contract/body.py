@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract.checks import describe, frozen, numbers, wrong_shape
+from anchorflow_client.contract.checks import frozen, numbers, wrong_shape
 from anchorflow_client.contract.ranges import BODY_COORDINATE, OMEGA_MAX, TURNING_RADIUS
 from anchorflow_client.contract.rows import Array, Flag, Group, Number, Text, rows_of
 from anchorflow_client.errors import InvalidRequest
@@ -71,7 +71,7 @@ def read_footprint(value: Any) -> NDArray[np.float64]:
     winds_once = np.isclose(_angles(corners).sum(), 2.0 * np.pi)
     if (turns <= FLAT).any() or not winds_once:
         at = int(np.argmin(turns))
-        corner = describe(corners[at].tolist())
+        corner = "({:g}, {:g}) m".format(*corners[at])
         raise InvalidRequest(
             f"expected a convex polygon, got a corner at {corner} that is not", field
         )
