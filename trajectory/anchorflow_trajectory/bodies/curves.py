@@ -1,0 +1,227 @@
+"""Stretches that are driven in one gear, as splines: the heading is the curve's own direction.
+
+A stretch is a clamped B-spline [K, 2] over u in [0, 1]; driven backwards, the robot looks against
+the curve. So the wheels never slip sideways, whatever the control points are.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory import FloatArray
+from anchorflow_trajectory.bodies.wheels import BACKWARD
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
+from anchorflow_trajectory.spline.kernels import Band
+
+SPACING, LEAST_SPANS, MOST_SPANS = 2.2, 3, 60  # cells of a search from knot to knot
+LOOKS = 3  # samples of a span at which the cost of a curve is measured
+KEPT, LAST = 2, 2  # control points that a start's pose fixes, and an end's
+TINY = 1e-9
+FIRST_MOMENT, SECOND_MOMENT = 0.8, 0.95  # of Adam
+
+
+class Pull(NamedTuple):
+    """What a curve is charged for, and how it is changed.
+
+    margin: m of room that the outline should have; room, bend, soft, even, short: weights
+    most_bend: 1/m, beyond which bends are charged in earnest; rate: m of a first step
+    """
+
+    margin: float
+    room: float
+    most_bend: float
+    bend: float
+    soft: float
+    even: float
+    short: float
+    rate: float
+
+
+def basis_for(length: float, cell: float) -> SplineBasis:
+    """Return the basis of a stretch of `length` m, for a search with cells of `cell` m."""
+    spans = int(np.clip(np.ceil(length / (SPACING * cell)), LEAST_SPANS, MOST_SPANS))
+    return spline_basis(LOOKS * spans + 1, num_control_points=spans + DEGREE, degree=DEGREE)
+
+
+def fitted(
+    points: FloatArray, basis: SplineBasis, gear: int, *, fixed_end: bool, bend: float | None = None
+) -> NDArray[np.float64]:
+    """Return control points [K, 2] of the curve along poses [P, 3], with its first pose exact.
+
+    fixed_end: the last pose is exact, not only its place; bend: 1/m, the curvature at the start
+    """
+    legs = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    marks = np.append(0.0, legs.cumsum())
+    length, spans = max(float(marks[-1]), TINY), basis.num_control_points - DEGREE
+    at = np.linspace(0.0, length, basis.num_samples)
+    wanted = np.stack([np.interp(at, marks, points[:, axis]) for axis in (0, 1)], 1)
+    count = basis.num_control_points
+    control = np.zeros((count, 2))
+    reach = gear * length / (DEGREE * spans)
+    control[0], control[-1] = points[0, :2], points[-1, :2]
+    begin, end = points[0, 2], points[-1, 2]
+    ahead = np.array([np.cos(begin), np.sin(begin)])
+    control[1] = control[0] + reach * ahead
+    held, last = KEPT, LAST if fixed_end else 1
+    if bend is not None:
+        side = np.array([-ahead[1], ahead[0]]) * length**2 / (6.0 * spans**2)
+        control[2] = control[1] + 2.0 * (control[1] - control[0]) + bend * side
+        held += 1
+    if fixed_end:
+        control[-2] = control[-1] - reach * np.array([np.cos(end), np.sin(end)])
+    free = slice(held, count - last)
+    matrix = basis.position.astype(np.float64)
+    residual = wanted - matrix @ control
+    control[free] = np.linalg.lstsq(matrix[:, free], residual, rcond=None)[0]
+    return control
+
+
+@compiled
+def settle(
+    control: NDArray[np.float64],
+    band: Band,
+    held: int,
+    last: int,
+    gear: int,
+    rim: FloatArray,
+    reach: float,
+    room: Grid,
+    dear: Grid,
+    pull: Pull,
+    steps: int,
+) -> None:
+    """Descend on the cost of a curve, by Adam, and change its control points [K, 2].
+
+    held, last: control points at both ends that stay
+    rim: [Q, 2] points of the outline; reach: m to the farthest
+    room: m to the nearest occupied cell; dear: m of detour that a metre is worth
+    """
+    count = len(control)
+    slope, first, second = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2))
+    for step in range(steps):
+        slope[:] = 0.0
+        _charge_samples(control, band, gear, rim, reach, room, dear, pull, slope)
+        _charge_shape(control, pull, slope)
+        decay_first = 1.0 - FIRST_MOMENT ** (step + 1)
+        decay_second = 1.0 - SECOND_MOMENT ** (step + 1)
+        rate = pull.rate * (1.0 - step / steps)
+        for k in range(held, count - last):
+            for d in range(2):
+                value = slope[k, d]
+                first[k, d] = FIRST_MOMENT * first[k, d] + (1.0 - FIRST_MOMENT) * value
+                second[k, d] = SECOND_MOMENT * second[k, d] + (1.0 - SECOND_MOMENT) * value * value
+                size = np.sqrt(second[k, d] / decay_second) + TINY
+                control[k, d] -= rate * first[k, d] / decay_first / size
+
+
+@compiled
+def _charge_samples(
+    control: FloatArray,
+    band: Band,
+    gear: int,
+    rim: FloatArray,
+    reach: float,
+    room: Grid,
+    dear: Grid,
+    pull: Pull,
+    slope: FloatArray,
+) -> None:
+    """Add to slopes [K, 2] those of too little room, tight bends and dear ground."""
+    width, samples = band.weights.shape[2], len(band.first)
+    for t in range(samples):
+        first = band.first[t]
+        x, y, dx, dy, ddx, ddy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(width):
+            px, py = control[first + j, 0], control[first + j, 1]
+            x += band.weights[t, 0, j] * px
+            y += band.weights[t, 0, j] * py
+            dx += band.weights[t, 1, j] * px
+            dy += band.weights[t, 1, j] * py
+            ddx += band.weights[t, 2, j] * px
+            ddy += band.weights[t, 2, j] * py
+        speed = np.sqrt(dx * dx + dy * dy) + TINY
+        cosine, sine = gear * dx / speed, gear * dy / speed
+        share = speed / samples
+        # Slopes by place, by heading and by both derivatives.
+        gx, gy, turn = 0.0, 0.0, 0.0
+        free = look_up(room, x, y)[0]
+        if free < reach + pull.margin:
+            for q in range(len(rim)):
+                bx = cosine * rim[q, 0] - sine * rim[q, 1]
+                by = sine * rim[q, 0] + cosine * rim[q, 1]
+                value, along_x, along_y = look_up(room, x + bx, y + by)
+                lack = pull.margin - value
+                if lack > 0.0:
+                    force = -2.0 * pull.room * min(lack, 2.0 * pull.margin) * share
+                    gx += force * along_x
+                    gy += force * along_y
+                    turn += force * (along_y * bx - along_x * by)
+        if dear.values.size:
+            _, along_x, along_y = look_up(dear, x, y)
+            gx += pull.soft * share * along_x
+            gy += pull.soft * share * along_y
+        hx, hy = -turn * dy / (speed * speed), turn * dx / (speed * speed)
+        cubed = speed * speed * speed
+        bend = (dx * ddy - dy * ddx) / cubed
+        force = 2.0 * pull.bend * bend * share * 0.02
+        if abs(bend) > pull.most_bend:
+            force += 2.0 * pull.bend * (bend - np.sign(bend) * pull.most_bend) * share
+        hx += force * (ddy / cubed - 3.0 * bend * dx / (speed * speed))
+        hy += force * (-ddx / cubed - 3.0 * bend * dy / (speed * speed))
+        kx, ky = -force * dy / cubed, force * dx / cubed
+        for j in range(width):
+            place, pace = band.weights[t, 0, j], band.weights[t, 1, j]
+            curve = band.weights[t, 2, j]
+            slope[first + j, 0] += place * gx + pace * hx + curve * kx
+            slope[first + j, 1] += place * gy + pace * hy + curve * ky
+
+
+@compiled
+def _charge_shape(control: FloatArray, pull: Pull, slope: FloatArray) -> None:
+    """Add to slopes [K, 2] those of an uneven curve (third differences) and of its length."""
+    count = len(control)
+    for d in range(2):
+        for k in range(count - 3):
+            jump = control[k + 3, d] - 3.0 * control[k + 2, d] + 3.0 * control[k + 1, d]
+            jump = 2.0 * pull.even * (jump - control[k, d])
+            slope[k, d] -= jump
+            slope[k + 1, d] += 3.0 * jump
+            slope[k + 2, d] -= 3.0 * jump
+            slope[k + 3, d] += jump
+        for k in range(count - 1):
+            leg = 2.0 * pull.short * (control[k + 1, d] - control[k, d])
+            slope[k, d] -= leg
+            slope[k + 1, d] += leg
+
+
+@compiled
+def curve_at(
+    control: FloatArray, band: Band, t: int, gear: int, out: FloatArray
+) -> None:
+    """Write x, y, the heading, the curvature [1/m], its change [1/m^2] and |dr/du| at a sample."""
+    first = band.first[t]
+    x, y, dx, dy = 0.0, 0.0, 0.0, 0.0
+    ddx, ddy, jx, jy = 0.0, 0.0, 0.0, 0.0
+    for j in range(band.weights.shape[2]):
+        px, py = control[first + j, 0], control[first + j, 1]
+        x += band.weights[t, 0, j] * px
+        y += band.weights[t, 0, j] * py
+        dx += band.weights[t, 1, j] * px
+        dy += band.weights[t, 1, j] * py
+        ddx += band.weights[t, 2, j] * px
+        ddy += band.weights[t, 2, j] * py
+        jx += band.weights[t, 3, j] * px
+        jy += band.weights[t, 3, j] * py
+    speed = np.sqrt(dx * dx + dy * dy) + TINY
+    cross = dx * ddy - dy * ddx
+    bend = cross / speed**3
+    change = (dx * jy - dy * jx) / speed**4 - 3.0 * bend * (dx * ddx + dy * ddy) / speed**3
+    heading = np.arctan2(dy, dx)
+    if gear == BACKWARD:
+        heading += np.pi
+    out[0], out[1], out[2], out[3], out[4], out[5] = x, y, heading, bend, change, speed

@@ -1,0 +1,290 @@
+"""Motions along the stretches of a way: its table by arc length, a law of time, and the poses.
+
+A way is a table of rows, one stretch after the other: m (or, on the spot, rad) along the stretch,
+x, y, heading, curvature [1/m] and its change [1/m^2]. Between rows everything is linear.
+
+The law of a stretch speeds up and brakes as limits allow, averaged over a short window of time. The
+average keeps speeds and accelerations within the same limits and bounds the jerk, and it stays in
+closed form: the averaged speed is a difference of places, the averaged place one of their integral.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory import BoolArray, FloatArray
+from anchorflow_trajectory.bodies.curves import curve_at
+from anchorflow_trajectory.bodies.outline import Ground, touches
+from anchorflow_trajectory.bodies.wheels import TURNING
+from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.spline.kernels import Band
+
+ALONG, X, Y, HEADING, BEND, CHANGE = range(6)
+COLUMNS = 6
+PULLING, SIDEWAYS = 0.8, 0.6  # shares of a_max: along the way, and across in bends
+SPIN_SHARE, SPIN_S = 0.93, 0.4  # of omega_max, and s in which a turn reaches it
+TIGHT = 1e-6  # 1/m
+CLOSE = 0.02  # m that any point of the outline moves between two poses that are tested
+
+
+class Limits(NamedTuple):
+    """v_max [m/s], a_max [m/s^2], omega_max [rad/s]; most_bend: 1/m; window: s of the average."""
+
+    v_max: float
+    a_max: float
+    omega_max: float
+    most_bend: float
+    window: float
+
+
+class Law(NamedTuple):
+    """Places [R] m, speeds [R] m/s, times [R] s and integrals of the place by time [R] m s."""
+
+    places: NDArray[np.float64]
+    speeds: NDArray[np.float64]
+    times: NDArray[np.float64]
+    integrals: NDArray[np.float64]
+
+
+@compiled
+def tabulate(control: FloatArray, band: Band, gear: int, heading: float, rows: FloatArray) -> None:
+    """Write the tables [N, R, 6] of curves [N, K, 2], sampled R times; heading: about the first."""
+    out = np.empty(6)
+    for n in range(len(control)):
+        along, before, pace = 0.0, heading, 0.0
+        for t in range(rows.shape[1]):
+            curve_at(control[n], band, t, gear, out)
+            if t:
+                along += 0.5 * (pace + out[5]) / (rows.shape[1] - 1)
+            pace = out[5]
+            turn = (out[2] - before + np.pi) % (2.0 * np.pi) - np.pi
+            before += turn
+            rows[n, t, ALONG], rows[n, t, X], rows[n, t, Y] = along, out[0], out[1]
+            rows[n, t, HEADING], rows[n, t, BEND], rows[n, t, CHANGE] = before, out[3], out[4]
+
+
+@compiled
+def certify(
+    rows: FloatArray,
+    gears: NDArray[np.int64],
+    begins: NDArray[np.int64],
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    rim: FloatArray,
+    room: Grid,
+    most_bend: float,
+) -> tuple[BoolArray, NDArray[np.float64]]:
+    """Whether ways [N, R, 6] touch nothing and bend no tighter than allowed, and their room [N] m.
+
+    corners: [K, 2] of the outline, with the margin that lies between two poses that are tested
+    rim: [Q, 2] points of the outline itself, from which the room is measured
+    """
+    count = len(rows)
+    safe, least = np.ones(count, np.bool_), np.full(count, np.inf)
+    spans, pose = np.empty((2, ground.room.shape[0])), np.empty(3)
+    for n in range(count):
+        for g in range(len(gears)):
+            for t in range(begins[g], begins[g + 1]):
+                row = rows[n, t]
+                if gears[g] != TURNING and abs(row[BEND]) > most_bend:
+                    safe[n] = False
+                least[n] = min(least[n], _room(rim, reach, room, row[X], row[Y], row[HEADING], least[n]))
+                if t == begins[g]:
+                    before = row
+                moved = np.hypot(row[X] - before[X], row[Y] - before[Y])
+                moved += abs(row[HEADING] - before[HEADING]) * reach
+                parts = max(1, int(np.ceil(moved / CLOSE)))
+                for part in range(parts):
+                    share = (part + 1.0) / parts
+                    for k in range(3):
+                        pose[k] = before[1 + k] + share * (row[1 + k] - before[1 + k])
+                    if safe[n] and touches(ground, corners, reach, pose, spans):
+                        safe[n] = False
+                before = row
+    return safe, least
+
+
+@compiled
+def _room(
+    rim: FloatArray, reach: float, room: Grid, x: float, y: float, heading: float, known: float
+) -> float:
+    """m from the outline at a pose to the nearest occupied cell, if it is less than what is known."""
+    if look_up(room, x, y)[0] - reach > known:
+        return known
+    cosine, sine, least = np.cos(heading), np.sin(heading), known
+    for q in range(len(rim)):
+        at_x = x + cosine * rim[q, 0] - sine * rim[q, 1]
+        at_y = y + sine * rim[q, 0] + cosine * rim[q, 1]
+        least = min(least, look_up(room, at_x, at_y)[0])
+    return least
+
+
+@compiled
+def law_along(
+    rows: FloatArray, turning: bool, limits: Limits, pace: float, begin: float, end: float
+) -> tuple[Law, bool]:
+    """The law along a stretch [R, 6] between two speeds, and whether it can be kept.
+
+    pace: share of the highest speed; begin, end: m/s
+    """
+    count, window = len(rows), limits.window
+    places, speeds = np.empty(count), np.empty(count)
+    length = rows[count - 1, ALONG]
+    shorter = max(length - 0.5 * window * (begin + end), 0.1 * length)
+    scale = shorter / max(length, 1e-12)
+    most = pace * limits.v_max
+    pull = PULLING * limits.a_max
+    if turning:
+        most = pace * SPIN_SHARE * limits.omega_max
+        pull = limits.omega_max / SPIN_S
+    half = 0.5 * window * most
+    low, high = 0, 0
+    for k in range(count):
+        places[k] = rows[k, ALONG] * scale
+        speeds[k] = most
+        if turning:
+            continue
+        while rows[low, ALONG] < rows[k, ALONG] - half:
+            low += 1
+        while high < count - 1 and rows[high, ALONG] < rows[k, ALONG] + half:
+            high += 1
+        bend = TIGHT
+        for other in range(low, high + 1):
+            bend = max(bend, abs(rows[other, BEND]))
+        speeds[k] = min(most, SPIN_SHARE * limits.omega_max / bend)
+        speeds[k] = min(speeds[k], np.sqrt(SIDEWAYS * limits.a_max / bend))
+    keeps = begin <= speeds[0] * 1.1 + 1e-3
+    speeds[0], speeds[count - 1] = begin, min(end, speeds[count - 1])
+    for k in range(count - 2, 0, -1):
+        ahead = speeds[k + 1] ** 2 + 2.0 * pull * (places[k + 1] - places[k])
+        speeds[k] = min(speeds[k], np.sqrt(ahead))
+    if count > 1:
+        keeps &= begin**2 <= 1.2 * (speeds[1] ** 2 + 2.0 * pull * (places[1] - places[0])) + 1e-6
+    for k in range(1, count):
+        before = speeds[k - 1] ** 2 + 2.0 * pull * (places[k] - places[k - 1])
+        speeds[k] = min(speeds[k], np.sqrt(before))
+    times, integrals = np.zeros(count), np.zeros(count)
+    for k in range(1, count):
+        step = places[k] - places[k - 1]
+        mean = max(0.5 * (speeds[k] + speeds[k - 1]), 1e-6)
+        lasts = step / mean
+        times[k] = times[k - 1] + lasts
+        # The place is a parabola between two rows.
+        change = (speeds[k] - speeds[k - 1]) * lasts * lasts / 6.0
+        integrals[k] = integrals[k - 1] + lasts * (places[k - 1] + 0.5 * speeds[k - 1] * lasts)
+        integrals[k] += change
+    return Law(places, speeds, times, integrals), keeps
+
+
+@compiled
+def _read(law: Law, time: float) -> tuple[float, float, float]:
+    """Place [m], speed [m/s] and the integral of the place [m s] at a time, before or after too."""
+    places, speeds, times, integrals = law
+    last = len(times) - 1
+    if time <= 0.0:
+        return speeds[0] * time, speeds[0], 0.5 * speeds[0] * time * time
+    if time >= times[last]:
+        later = time - times[last]
+        place = places[last] + speeds[last] * later
+        return place, speeds[last], integrals[last] + 0.5 * (places[last] + place) * later
+    k = min(np.searchsorted(times, time, "right") - 1, last - 1)
+    later, lasts = time - times[k], max(times[k + 1] - times[k], 1e-12)
+    pull = (speeds[k + 1] - speeds[k]) / lasts
+    place = places[k] + later * (speeds[k] + 0.5 * pull * later)
+    integral = integrals[k] + later * (places[k] + later * (0.5 * speeds[k] + pull * later / 6.0))
+    return place, speeds[k] + pull * later, integral
+
+
+@compiled
+def averaged(law: Law, window: float, time: float) -> tuple[float, float, float]:
+    """Place [m], speed and acceleration at a time [s] from the start of a stretch on."""
+    before, after = _read(law, time - window), _read(law, time)
+    shift = 0.5 * window * law.speeds[0]
+    place = (after[2] - before[2]) / window + shift
+    return place, (after[0] - before[0]) / window, (after[1] - before[1]) / window
+
+
+@compiled
+def drive(
+    rows: FloatArray,
+    gears: NDArray[np.int64],
+    begins: NDArray[np.int64],
+    limits: Limits,
+    paces: FloatArray,
+    begin: float,
+    end: float,
+    lasts: float,
+    motion: FloatArray,
+    durations: FloatArray,
+) -> BoolArray:
+    """Drive along ways [N, R, 6]; returns whether each can be kept from its first speed on.
+
+    Args:
+        paces: [N] shares of the highest speed.
+        begin, end: m/s along the first stretch and the last.
+        lasts: s that every motion spans, with a rest at its end; 0: each its own.
+        motion: [3, N, T, 3], written: poses, their velocities and accelerations.
+        durations: [N] s, written.
+    """
+    count, steps, stretches = len(rows), motion.shape[2], len(gears)
+    keeps = np.ones(count, np.bool_)
+    for n in range(count):
+        laws = [
+            law_along(
+                rows[n, begins[g] : begins[g + 1]],
+                gears[g] == TURNING,
+                limits,
+                paces[n],
+                begin if g == 0 else 0.0,
+                end if g == stretches - 1 else 0.0,
+            )
+            for g in range(stretches)
+        ]
+        total = 0.0
+        for law, kept in laws:
+            keeps[n] &= kept
+            total += law.times[-1] + limits.window
+        durations[n] = lasts if lasts > 0.0 else total
+        g, since = 0, 0.0
+        for t in range(steps):
+            time = durations[n] * t / (steps - 1)
+            while g < stretches - 1 and time > since + laws[g][0].times[-1] + limits.window:
+                since += laws[g][0].times[-1] + limits.window
+                g += 1
+            law = laws[g][0]
+            within = min(time - since, law.times[-1] + limits.window)
+            place, speed, pull = averaged(law, limits.window, within)
+            if time - since > law.times[-1] + limits.window + 1e-9:
+                speed, pull = 0.0, 0.0
+            _pose(rows[n, begins[g] : begins[g + 1]], gears[g], place, speed, pull, motion[:, n, t])
+    return keeps
+
+
+@compiled
+def _pose(
+    rows: FloatArray, gear: int, place: float, speed: float, pull: float, out: FloatArray
+) -> None:
+    """Write the pose, velocity and acceleration [3, 3] at a place of a stretch [R, 6]."""
+    last = len(rows) - 1
+    place = min(max(place, 0.0), rows[last, ALONG])
+    k = min(max(np.searchsorted(rows[:, ALONG], place, "right") - 1, 0), last - 1)
+    share = (place - rows[k, ALONG]) / max(rows[k + 1, ALONG] - rows[k, ALONG], 1e-12)
+    for d in range(3):
+        out[0, d] = rows[k, X + d] + share * (rows[k + 1, X + d] - rows[k, X + d])
+    if gear == TURNING:
+        side = 1.0 if rows[last, HEADING] >= rows[0, HEADING] else -1.0
+        out[1:] = 0.0
+        out[1, 2], out[2, 2] = side * speed, side * pull
+        return
+    bend = rows[k, BEND] + share * (rows[k + 1, BEND] - rows[k, BEND])
+    change = rows[k, CHANGE] + share * (rows[k + 1, CHANGE] - rows[k, CHANGE])
+    cosine, sine = gear * np.cos(out[0, 2]), gear * np.sin(out[0, 2])
+    across = speed * speed * bend
+    out[1, 0], out[1, 1], out[1, 2] = speed * cosine, speed * sine, speed * bend
+    out[2, 0], out[2, 1] = pull * cosine - across * sine, pull * sine + across * cosine
+    out[2, 2] = bend * pull + change * speed * speed

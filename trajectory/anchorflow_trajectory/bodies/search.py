@@ -1,0 +1,399 @@
+"""Ways of a body: A* over poses (Dolgov et al., "Path planning for autonomous vehicles in unknown
+semi-structured environments", IJRR 2010), with every pose as it is driven and not rounded to a cell.
+
+A search follows a route of the map: what is left of a way is counted along it, and what lies beside
+it counts more. So each route gives a way of its own, if the body fits through it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory import FloatArray
+from anchorflow_trajectory.bodies.outline import Ground, touches
+from anchorflow_trajectory.bodies.wheels import Moves
+from anchorflow_trajectory.compiled import compiled
+
+GREED = 1.4  # factor on what is left
+ASIDE = 1.6  # m of way that a metre beside the route counts
+TABLE = 1 << 17  # places for poses, a power of two
+MOST_NODES = 60_000
+ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
+LEG = 0.06  # m or a fifth of a rad between two poses that are tested on the way to a goal
+NEAR = 3.0  # m from the goal within which it is tried directly
+EMPTY = -1
+
+
+class Guide(NamedTuple):
+    """What is left of a way: [H, W] m at cell centres; x, y: m, its corner; resolution: m/cell."""
+
+    left: NDArray[np.float32]
+    x: float
+    y: float
+    resolution: float
+
+
+class Target(NamedTuple):
+    """Where ways end: a pose [3]; heading: whether its heading counts; tolerance: m."""
+
+    pose: FloatArray
+    heading: bool
+    tolerance: float
+
+
+class Nodes(NamedTuple):
+    """What is reached: poses [K, 3], costs [K], ways driven since the start [K] m, and from where.
+
+    moves: [K] the motion that led there; gears: [K]
+    """
+
+    poses: NDArray[np.float64]
+    costs: NDArray[np.float64]
+    driven: NDArray[np.float64]
+    parents: NDArray[np.int64]
+    moves: NDArray[np.int64]
+    gears: NDArray[np.int64]
+
+
+@compiled
+def guide_along(
+    points: FloatArray, rest: FloatArray, shape: tuple[int, int], corner: FloatArray, cell: float
+) -> NDArray[np.float32]:
+    """What is left [H, W] along a route through points [K, 2] with `rest` [K] m from each on."""
+    left = np.empty(shape, np.float32)
+    for row in range(shape[0]):
+        y = corner[1] + (row + 0.5) * cell
+        for column in range(shape[1]):
+            x, best = corner[0] + (column + 0.5) * cell, np.inf
+            for k in range(len(points)):
+                across, up = x - points[k, 0], y - points[k, 1]
+                best = min(best, rest[k] + ASIDE * np.sqrt(across * across + up * up))
+            left[row, column] = best
+    return left
+
+
+@compiled
+def find_way(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    moves: Moves,
+    cell: float,
+    guide: Guide,
+    surcharge: FloatArray,
+    start: FloatArray,
+    gear: int,
+    braking: float,
+    target: Target,
+    most: int,
+) -> tuple[NDArray[np.float64], int]:
+    """A way from a pose to the target, [P, 4]: poses and the gear that leads to each.
+
+    It is empty if none is found. Also returns how many poses were expanded.
+
+    Args:
+        corners: [K, 2] of the outline, with a margin; reach: m to the farthest.
+        cell: m, within which poses of one heading count as one.
+        surcharge: [H, W] >= 0 of the ground, m of detour that a metre is worth; or [0, 0].
+        gear: in which the robot moves at the start.
+        braking: m that it needs to stop at the start.
+        most: poses to expand.
+    """
+    spans = np.empty((2, ground.room.shape[0]))
+    nodes = Nodes(
+        np.empty((MOST_NODES, 3)),
+        np.empty(MOST_NODES),
+        np.empty(MOST_NODES),
+        np.empty(MOST_NODES, np.int64),
+        np.empty(MOST_NODES, np.int64),
+        np.empty(MOST_NODES, np.int64),
+    )
+    keys, held = np.full(TABLE, EMPTY, np.int64), np.empty(TABLE, np.int64)
+    heap_cost, heap_node = np.empty(MOST_NODES), np.empty(MOST_NODES, np.int64)
+    nodes.poses[0], nodes.costs[0], nodes.driven[0] = start, 0.0, 0.0
+    nodes.parents[0], nodes.moves[0], nodes.gears[0] = -1, -1, gear
+    held[_place(keys, _key(ground, cell, moves.bins, nodes, 0))] = 0
+    keys[_place(keys, _key(ground, cell, moves.bins, nodes, 0))] = _key(
+        ground, cell, moves.bins, nodes, 0
+    )
+    count, waiting, expanded = 1, 1, 0
+    heap_cost[0], heap_node[0] = 0.0, 0
+    done = np.zeros(MOST_NODES, np.bool_)
+    shot, pose = np.empty((0, 4)), np.empty(3)
+    while waiting and expanded < most and count < MOST_NODES - len(moves.gears) - 1:
+        node = heap_node[0]
+        waiting = _pop(heap_cost, heap_node, waiting)
+        if done[node]:
+            continue
+        done[node] = True
+        expanded += 1
+        at = nodes.poses[node]
+        away = np.hypot(at[0] - target.pose[0], at[1] - target.pose[1])
+        if away < NEAR or expanded % 8 == 1:
+            shot = _shot(ground, corners, reach, moves, at, nodes.gears[node], target, spans)
+            stays = nodes.driven[node] >= braking or (
+                len(shot) > 0 and shot[0, 3] == nodes.gears[node]
+            )
+            if len(shot) and stays:
+                return _walked(nodes, node, moves, shot), expanded
+        for k in range(len(moves.gears)):
+            changes = moves.gears[k] != nodes.gears[node]
+            if changes and nodes.driven[node] < braking:
+                continue
+            if not _moved(ground, corners, reach, moves.poses[k], at, pose, spans):
+                continue
+            cost = moves.costs[k] + (moves.stop if changes else 0.0)
+            if surcharge.size:
+                cost += moves.lengths[k] * _at(surcharge, ground.x, ground.y, ground.resolution, pose)
+            cost += nodes.costs[node]
+            nodes.poses[count], nodes.costs[count] = pose, cost
+            nodes.driven[count] = np.inf if changes else nodes.driven[node] + moves.lengths[k]
+            nodes.parents[count], nodes.moves[count] = node, k
+            nodes.gears[count] = moves.gears[k]
+            key = _key(ground, cell, moves.bins, nodes, count)
+            place = _place(keys, key)
+            if keys[place] == key and nodes.costs[held[place]] <= cost + 1e-9:
+                continue
+            keys[place], held[place] = key, count
+            left = _at(guide.left, guide.x, guide.y, guide.resolution, pose)
+            waiting = _push(heap_cost, heap_node, waiting, cost + GREED * left, count)
+            count += 1
+    return np.empty((0, 4)), expanded
+
+
+@compiled
+def _at(field: FloatArray, x: float, y: float, resolution: float, pose: FloatArray) -> float:
+    """The value of a field [H, W] in the cell of a pose."""
+    row = int((pose[1] - y) / resolution)
+    column = int((pose[0] - x) / resolution)
+    return field[
+        min(max(row, 0), field.shape[0] - 1), min(max(column, 0), field.shape[1] - 1)
+    ]
+
+
+@compiled
+def _key(ground: Ground, cell: float, bins: int, nodes: Nodes, node: int) -> int:
+    """The number of a pose's cell, heading and gear."""
+    pose = nodes.poses[node]
+    row = int(np.floor((pose[1] - ground.y) / cell))
+    column = int(np.floor((pose[0] - ground.x) / cell))
+    turn = int(np.floor(pose[2] / (2.0 * np.pi) * bins)) % bins
+    return ((row * ROWS + column) * BINS + turn) * 4 + nodes.gears[node] + 1
+
+
+@compiled
+def _place(keys: NDArray[np.int64], key: int) -> int:
+    """The place of a key in the table, or the empty one for it."""
+    place = ((key * 0x9E3779B97F4A7C1) >> 20) & (TABLE - 1)
+    while keys[place] != EMPTY and keys[place] != key:
+        place = (place + 1) & (TABLE - 1)
+    return place
+
+
+@compiled
+def _push(costs: FloatArray, nodes: NDArray[np.int64], size: int, cost: float, node: int) -> int:
+    """Add a node to the heap of `size`; returns its new size."""
+    at = size
+    while at and costs[(at - 1) // 2] > cost:
+        costs[at], nodes[at] = costs[(at - 1) // 2], nodes[(at - 1) // 2]
+        at = (at - 1) // 2
+    costs[at], nodes[at] = cost, node
+    return size + 1
+
+
+@compiled
+def _pop(costs: FloatArray, nodes: NDArray[np.int64], size: int) -> int:
+    """Take the first node off the heap of `size`; returns its new size."""
+    size -= 1
+    cost, node, at = costs[size], nodes[size], 0
+    while 2 * at + 1 < size:
+        child = 2 * at + 1
+        if child + 1 < size and costs[child + 1] < costs[child]:
+            child += 1
+        if costs[child] >= cost:
+            break
+        costs[at], nodes[at] = costs[child], nodes[child]
+        at = child
+    costs[at], nodes[at] = cost, node
+    return size
+
+
+@compiled
+def _moved(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    poses: FloatArray,
+    at: FloatArray,
+    pose: FloatArray,
+    spans: FloatArray,
+) -> bool:
+    """Whether a short motion from a pose touches nothing; `pose` [3] becomes its end."""
+    cosine, sine = np.cos(at[2]), np.sin(at[2])
+    for look in range(len(poses)):
+        pose[0] = at[0] + cosine * poses[look, 0] - sine * poses[look, 1]
+        pose[1] = at[1] + sine * poses[look, 0] + cosine * poses[look, 1]
+        pose[2] = at[2] + poses[look, 2]
+        if touches(ground, corners, reach, pose, spans):
+            return False
+    return True
+
+
+@compiled
+def _walked(nodes: Nodes, node: int, moves: Moves, shot: FloatArray) -> NDArray[np.float64]:
+    """The way [P, 4] from the start to a node, and on by a shot."""
+    looks, steps, at = moves.poses.shape[1], 0, node
+    while nodes.parents[at] >= 0:
+        steps, at = steps + 1, nodes.parents[at]
+    way = np.empty((1 + steps * looks + len(shot), 4))
+    way[0, :3], way[0, 3] = nodes.poses[at], nodes.gears[at]
+    at = node
+    for step in range(steps - 1, -1, -1):
+        before, move = nodes.poses[nodes.parents[at]], nodes.moves[at]
+        cosine, sine = np.cos(before[2]), np.sin(before[2])
+        for look in range(looks):
+            row, (x, y, turn) = 1 + step * looks + look, moves.poses[move, look]
+            way[row, 0] = before[0] + cosine * x - sine * y
+            way[row, 1] = before[1] + sine * x + cosine * y
+            way[row, 2], way[row, 3] = before[2] + turn, moves.gears[move]
+        at = nodes.parents[at]
+    way[1 + steps * looks :] = shot
+    return way
+
+
+@compiled
+def _shot(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    moves: Moves,
+    at: FloatArray,
+    gear: int,
+    target: Target,
+    spans: FloatArray,
+) -> NDArray[np.float64]:
+    """The cheapest direct way [P, 4] from a pose to the target that touches nothing, or none.
+
+    It is a turn, a straight line and, where the heading counts, another turn.
+    """
+    best, best_cost = np.empty((0, 4)), np.inf
+    legs, found = np.empty((3, 2)), np.empty((0, 4))
+    turns_last = target.heading and not moves.spot
+    for way in range(2 if moves.reverse else 1):
+        sign = 1.0 - 2.0 * way
+        price = 1.0 if sign > 0.0 else 1.5
+        for word in range(4 if turns_last else 2):
+            first = 1.0 if word % 2 == 0 else -1.0
+            last = first if word < 2 else -first
+            if turns_last:
+                fits = _two_turns(at, target.pose, sign, first, last, moves.radius, legs)
+            else:
+                fits = _one_turn(at, target.pose, sign, first, moves.radius, legs)
+            if not fits or abs(legs[0, 1]) > 1.25 * np.pi or abs(legs[2, 1]) > 1.25 * np.pi:
+                continue
+            cost = price * (legs[0, 0] + legs[1, 0] + legs[2, 0])
+            if int(sign) != gear:
+                cost += moves.stop
+            if cost >= best_cost:
+                continue
+            found = _drawn(at, sign, legs, target, moves.spot)
+            clear = True
+            for k in range(len(found)):
+                if touches(ground, corners, reach, found[k, :3], spans):
+                    clear = False
+                    break
+            if clear:
+                best, best_cost = found, cost
+    return best
+
+
+@compiled
+def _one_turn(
+    at: FloatArray, goal: FloatArray, sign: float, side: float, radius: float, legs: FloatArray
+) -> bool:
+    """Whether a turn to one side and a line lead to a point; legs [3, 2]: m and signed rad each.
+
+    sign: 1 forwards, -1 backwards; side: 1 for a circle to the left of the way
+    """
+    heading = at[2] if sign > 0.0 else at[2] + np.pi
+    x, y = at[0] - side * radius * np.sin(heading), at[1] + side * radius * np.cos(heading)
+    away = np.hypot(goal[0] - x, goal[1] - y)
+    if away < radius:
+        return False
+    line = np.sqrt(away * away - radius * radius)
+    toward = np.arctan2(goal[1] - y, goal[0] - x)
+    end = toward + side * np.arctan2(radius, line)
+    turn = side * ((side * (end - heading)) % (2.0 * np.pi))
+    if abs(turn) > 2.0 * np.pi - 1e-6:
+        turn = 0.0
+    legs[0, 0], legs[0, 1] = radius * abs(turn), turn
+    legs[1, 0], legs[1, 1] = line, 0.0
+    legs[2] = 0.0
+    return True
+
+
+@compiled
+def _two_turns(
+    at: FloatArray,
+    goal: FloatArray,
+    sign: float,
+    first: float,
+    last: float,
+    radius: float,
+    legs: FloatArray,
+) -> bool:
+    """Whether a turn, a line and a turn lead to a pose (Dubins, 1957); legs as in `_one_turn`."""
+    back = 0.0 if sign > 0.0 else np.pi
+    begin, end = at[2] + back, goal[2] + back
+    x = goal[0] - last * radius * np.sin(end) - at[0] + first * radius * np.sin(begin)
+    y = goal[1] + last * radius * np.cos(end) - at[1] - first * radius * np.cos(begin)
+    away, along = np.hypot(x, y), np.arctan2(y, x)
+    if first == last:
+        line = away
+    else:
+        if away < 2.0 * radius:
+            return False
+        line = np.sqrt(away * away - 4.0 * radius * radius)
+        along += first * np.arctan2(2.0 * radius, line)
+    for leg, side, turn in ((0, first, along - begin), (2, last, end - along)):
+        angle = (side * turn) % (2.0 * np.pi)
+        if angle > 2.0 * np.pi - 1e-6:
+            angle = 0.0
+        legs[leg, 0], legs[leg, 1] = radius * angle, side * angle
+    legs[1, 0], legs[1, 1] = line, 0.0
+    return True
+
+
+@compiled
+def _drawn(
+    at: FloatArray, sign: float, legs: FloatArray, target: Target, spot: bool
+) -> NDArray[np.float64]:
+    """The poses [P, 4] along legs, with a last turn on the spot where the heading counts."""
+    counts = np.zeros(4, np.int64)
+    for leg in range(3):
+        if legs[leg, 0] > 1e-6:
+            counts[leg] = int(np.ceil(max(legs[leg, 0] / LEG, abs(legs[leg, 1]) / 0.2)))
+    x, y, heading = at[0], at[1], at[2]
+    total = legs[0, 1] + legs[1, 1] + legs[2, 1]
+    final = 0.0
+    if target.heading and spot:
+        final = (target.pose[2] - heading - total + np.pi) % (2.0 * np.pi) - np.pi
+        counts[3] = int(np.ceil(abs(final) / 0.1)) if abs(final) > 1e-3 else 0
+    way, row = np.empty((counts.sum(), 4)), 0
+    for leg in range(3):
+        for _ in range(counts[leg]):
+            step, turn = sign * legs[leg, 0] / counts[leg], legs[leg, 1] / counts[leg]
+            chord = step * (np.sin(turn / 2.0) / (turn / 2.0) if abs(turn) > 1e-9 else 1.0)
+            x += chord * np.cos(heading + turn / 2.0)
+            y += chord * np.sin(heading + turn / 2.0)
+            heading += turn
+            way[row] = x, y, heading, sign
+            row += 1
+    for _ in range(counts[3]):
+        heading += final / counts[3]
+        way[row] = x, y, heading, 0.0
+        row += 1
+    return way

@@ -1,0 +1,92 @@
+"""Wheels: how a robot moves, and the short motions that a search of poses is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FORWARD, BACKWARD, TURNING = 1, -1, 0
+"""Gears."""
+SPARE = 1.08  # of the tightest turn: bends of a spline are tighter than what it follows
+STEP = 1.8  # cells of a search that a short motion covers
+LOOKS = 3  # poses of a short motion at which it is tested
+SOFT_TURN, HARD_TURN = 0.17, 0.36  # rad of heading in a short motion
+STOP = 0.4  # s that a stop costs beside the time to brake and to speed up
+BACKWARDS = 1.5  # times what a way costs forwards
+BEND = 0.04  # of its length that a bend of one rad costs more
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """What wheels allow.
+
+    omega_max: rad/s; min_radius: m of the tightest turn while driving, 0 if it has none
+    reverse: whether it may drive backwards; spot: whether it can turn on the spot
+    """
+
+    omega_max: float
+    min_radius: float = 0.0
+    reverse: bool = False
+    spot: bool = True
+
+
+class Moves(NamedTuple):
+    """Short motions from the pose (0, 0, 0).
+
+    poses: [M, LOOKS, 3] that each passes, the last its end; gears: [M]; lengths: [M] m
+    costs: [M] m; stop: m, what a change of gear costs; radius: m of the turns to a goal
+    bins: headings that a search tells apart
+    """
+
+    poses: NDArray[np.float64]
+    gears: NDArray[np.int64]
+    lengths: NDArray[np.float64]
+    costs: NDArray[np.float64]
+    stop: float
+    radius: float
+    reverse: bool
+    spot: bool
+    bins: int
+
+
+def moves_of(wheels: Wheels, *, cell: float, v_max: float, a_max: float) -> Moves:
+    """Return the short motions for a search with cells of `cell` m."""
+    step = STEP * cell
+    softest, hardest = SOFT_TURN / step, HARD_TURN / step
+    if wheels.min_radius > 0.0:
+        hardest = min(hardest, 1.0 / (SPARE * wheels.min_radius))
+        softest = min(softest, 0.5 * hardest)
+    found: list[tuple[NDArray[np.float64], int, float, float]] = []
+    shares = np.arange(1, LOOKS + 1) / LOOKS
+    for gear in (FORWARD, BACKWARD) if wheels.reverse else (FORWARD,):
+        for bend in (0.0, softest, -softest, hardest, -hardest):
+            way = gear * step * shares
+            cost = step * (BACKWARDS if gear == BACKWARD else 1.0) + BEND * abs(bend) * step
+            found.append((arc(way, bend), gear, step, cost))
+    if wheels.spot:
+        for turn in (SOFT_TURN, -SOFT_TURN):
+            poses = np.stack([0.0 * shares, 0.0 * shares, turn * shares], 1)
+            found.append((poses, TURNING, 0.0, SOFT_TURN * v_max / wheels.omega_max))
+    poses, gears, lengths, costs = zip(*found, strict=True)
+    radius = SPARE * wheels.min_radius if wheels.min_radius > 0.0 else 1.0 / hardest
+    return Moves(
+        np.stack(poses),
+        np.array(gears),
+        np.array(lengths),
+        np.array(costs),
+        v_max * (STOP + 0.5 * v_max / a_max),
+        radius,
+        wheels.reverse,
+        wheels.spot,
+        int(round(2.0 * np.pi / SOFT_TURN)),
+    )
+
+
+def arc(way: NDArray[np.float64], bend: float) -> NDArray[np.float64]:
+    """Return poses [K, 3] after signed ways [K] in m along a circle of curvature `bend` [1/m]."""
+    angle = way * bend
+    chord = way * np.sinc(angle / (2.0 * np.pi))
+    return np.stack([chord * np.cos(angle / 2.0), chord * np.sin(angle / 2.0), angle], 1)
