@@ -28,11 +28,10 @@ FIRST_MOMENT, SECOND_MOMENT = 0.8, 0.95  # of Adam
 class Pull(NamedTuple):
     """What a curve is charged for, and how it is changed.
 
-    margin: m of room that the outline should have; room, bend, soft, even, short: weights
+    room, bend, soft, even, short: weights
     most_bend: 1/m, beyond which bends are charged in earnest; rate: m of a first step
     """
 
-    margin: float
     room: float
     most_bend: float
     bend: float
@@ -77,13 +76,28 @@ def fitted(
     free = slice(held, count - last)
     matrix = basis.position.astype(np.float64)
     residual = wanted - matrix @ control
-    control[free] = np.linalg.lstsq(matrix[:, free], residual, rcond=None)[0]
+    rows = matrix[:, free]
+    control[free] = np.linalg.solve(rows.T @ rows, rows.T @ residual)
     return control
 
 
 @compiled
+def value_at(grid: Grid, x: float, y: float) -> float:
+    """The value of a field at (x, y) in m, as `look_up` has it inside of the map."""
+    u = min(grid.right, max(grid.left, x * grid.cells_per_m - grid.first_x))
+    v = min(grid.top, max(grid.bottom, y * grid.cells_per_m - grid.first_y))
+    column, row = min(int(u), grid.values.shape[1] - 2), min(int(v), grid.values.shape[0] - 2)
+    across, up = u - column, v - row
+    low = grid.values[row, column] * (1.0 - across) + grid.values[row, column + 1] * across
+    high = grid.values[row + 1, column] * (1.0 - across)
+    high += grid.values[row + 1, column + 1] * across
+    return low * (1.0 - up) + high * up
+
+
+@compiled
 def settle(
-    control: NDArray[np.float64],
+    controls: NDArray[np.float64],
+    margins: FloatArray,
     band: Band,
     held: int,
     last: int,
@@ -95,33 +109,51 @@ def settle(
     pull: Pull,
     steps: int,
 ) -> None:
-    """Descend on the cost of a curve, by Adam, and change its control points [K, 2].
+    """Descend on the cost of curves, by Adam, and change their control points [N, K, 2].
 
+    margins: [N] m of room that the outline should have
     held, last: control points at both ends that stay
     rim: [Q, 2] points of the outline; reach: m to the farthest
     room: m to the nearest occupied cell; dear: m of detour that a metre is worth
     """
-    count = len(control)
-    slope, first, second = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2))
-    for step in range(steps):
-        slope[:] = 0.0
-        _charge_samples(control, band, gear, rim, reach, room, dear, pull, slope)
-        _charge_shape(control, pull, slope)
-        decay_first = 1.0 - FIRST_MOMENT ** (step + 1)
-        decay_second = 1.0 - SECOND_MOMENT ** (step + 1)
-        rate = pull.rate * (1.0 - step / steps)
-        for k in range(held, count - last):
-            for d in range(2):
-                value = slope[k, d]
-                first[k, d] = FIRST_MOMENT * first[k, d] + (1.0 - FIRST_MOMENT) * value
-                second[k, d] = SECOND_MOMENT * second[k, d] + (1.0 - SECOND_MOMENT) * value * value
-                size = np.sqrt(second[k, d] / decay_second) + TINY
-                control[k, d] -= rate * first[k, d] / decay_first / size
+    count = controls.shape[1]
+    slope, first, second = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    for n in range(len(controls)):
+        control = controls[n]
+        first[:], second[:] = 0.0, 0.0
+        for step in range(steps):
+            slope[:] = 0.0
+            _charge_samples(control, margins[n], band, gear, rim, reach, room, dear, pull, slope)
+            _charge_shape(control, pull, slope)
+            rate = pull.rate * (1.0 - step / steps)
+            _descend(control[held : count - last], slope[held:], first, second, rate, step)
+
+
+@compiled
+def _descend(
+    control: FloatArray,
+    slope: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    rate: float,
+    step: int,
+) -> None:
+    """Take a step of Adam on control points [K, 2]."""
+    decay_first = 1.0 - FIRST_MOMENT ** (step + 1)
+    decay_second = 1.0 - SECOND_MOMENT ** (step + 1)
+    for k in range(len(control)):
+        for d in range(2):
+            value = slope[k, d]
+            first[k, d] = FIRST_MOMENT * first[k, d] + (1.0 - FIRST_MOMENT) * value
+            second[k, d] = SECOND_MOMENT * second[k, d] + (1.0 - SECOND_MOMENT) * value * value
+            size = np.sqrt(second[k, d] / decay_second) + TINY
+            control[k, d] -= rate * first[k, d] / decay_first / size
 
 
 @compiled
 def _charge_samples(
     control: FloatArray,
+    margin: float,
     band: Band,
     gear: int,
     rim: FloatArray,
@@ -149,15 +181,15 @@ def _charge_samples(
         share = speed / samples
         # Slopes by place, by heading and by both derivatives.
         gx, gy, turn = 0.0, 0.0, 0.0
-        free = look_up(room, x, y)[0]
-        if free < reach + pull.margin:
+        free = value_at(room, x, y)
+        if free < reach + margin:
             for q in range(len(rim)):
                 bx = cosine * rim[q, 0] - sine * rim[q, 1]
                 by = sine * rim[q, 0] + cosine * rim[q, 1]
-                value, along_x, along_y = look_up(room, x + bx, y + by)
-                lack = pull.margin - value
+                lack = margin - value_at(room, x + bx, y + by)
                 if lack > 0.0:
-                    force = -2.0 * pull.room * min(lack, 2.0 * pull.margin) * share
+                    _, along_x, along_y = look_up(room, x + bx, y + by)
+                    force = -2.0 * pull.room * min(lack, 2.0 * margin) * share
                     gx += force * along_x
                     gy += force * along_y
                     turn += force * (along_y * bx - along_x * by)
@@ -200,9 +232,7 @@ def _charge_shape(control: FloatArray, pull: Pull, slope: FloatArray) -> None:
 
 
 @compiled
-def curve_at(
-    control: FloatArray, band: Band, t: int, gear: int, out: FloatArray
-) -> None:
+def curve_at(control: FloatArray, band: Band, t: int, gear: int, out: FloatArray) -> None:
     """Write x, y, the heading, the curvature [1/m], its change [1/m^2] and |dr/du| at a sample."""
     first = band.first[t]
     x, y, dx, dy = 0.0, 0.0, 0.0, 0.0

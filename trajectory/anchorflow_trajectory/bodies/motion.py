@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.bodies.curves import curve_at
+from anchorflow_trajectory.bodies.curves import curve_at, value_at
 from anchorflow_trajectory.bodies.outline import Ground, touches
 from anchorflow_trajectory.bodies.wheels import TURNING
 from anchorflow_trajectory.compiled import compiled
-from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.cost.fields import Grid
 from anchorflow_trajectory.spline.kernels import Band
 
 ALONG, X, Y, HEADING, BEND, CHANGE = range(6)
@@ -77,50 +77,64 @@ def certify(
     reach: float,
     rim: FloatArray,
     room: Grid,
+    clear: float,
     most_bend: float,
 ) -> tuple[BoolArray, NDArray[np.float64]]:
     """Whether ways [N, R, 6] touch nothing and bend no tighter than allowed, and their room [N] m.
 
     corners: [K, 2] of the outline, with the margin that lies between two poses that are tested
     rim: [Q, 2] points of the outline itself, from which the room is measured
+    clear: m of room at the rim with which a body that touched nothing before touches nothing
     """
     count = len(rows)
     safe, least = np.ones(count, np.bool_), np.full(count, np.inf)
-    spans, pose = np.empty((2, ground.room.shape[0])), np.empty(3)
+    spans = np.empty((2, ground.room.shape[0]))
     for n in range(count):
+        begin = True
         for g in range(len(gears)):
             for t in range(begins[g], begins[g + 1]):
-                row = rows[n, t]
-                if gears[g] != TURNING and abs(row[BEND]) > most_bend:
-                    safe[n] = False
-                least[n] = min(least[n], _room(rim, reach, room, row[X], row[Y], row[HEADING], least[n]))
-                if t == begins[g]:
-                    before = row
-                moved = np.hypot(row[X] - before[X], row[Y] - before[Y])
-                moved += abs(row[HEADING] - before[HEADING]) * reach
-                parts = max(1, int(np.ceil(moved / CLOSE)))
-                for part in range(parts):
-                    share = (part + 1.0) / parts
-                    for k in range(3):
-                        pose[k] = before[1 + k] + share * (row[1 + k] - before[1 + k])
-                    if safe[n] and touches(ground, corners, reach, pose, spans):
-                        safe[n] = False
-                before = row
+                row, before = rows[n, t], rows[n, max(t - 1, begins[g])]
+                free = _room(rim, reach, room, row, max(clear, least[n]))
+                least[n] = min(least[n], free)
+                safe[n] &= gears[g] == TURNING or abs(row[BEND]) <= most_bend
+                if safe[n] and (begin or free < clear):
+                    safe[n] = not _touched(ground, corners, reach, before, row, spans)
+                begin = False
     return safe, least
 
 
 @compiled
-def _room(
-    rim: FloatArray, reach: float, room: Grid, x: float, y: float, heading: float, known: float
-) -> float:
-    """m from the outline at a pose to the nearest occupied cell, if it is less than what is known."""
-    if look_up(room, x, y)[0] - reach > known:
+def _touched(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    before: FloatArray,
+    row: FloatArray,
+    spans: FloatArray,
+) -> bool:
+    """Whether an outline touches something on the way from one row [6] to the next."""
+    moved = np.hypot(row[X] - before[X], row[Y] - before[Y])
+    moved += abs(row[HEADING] - before[HEADING]) * reach
+    parts, pose = max(1, int(np.ceil(moved / CLOSE))), np.empty(3)
+    for part in range(parts):
+        share = (part + 1.0) / parts
+        for k in range(3):
+            pose[k] = before[X + k] + share * (row[X + k] - before[X + k])
+        if touches(ground, corners, reach, pose, spans):
+            return True
+    return False
+
+
+@compiled
+def _room(rim: FloatArray, reach: float, room: Grid, row: FloatArray, known: float) -> float:
+    """m from the outline [Q, 2] at a row [6] to the nearest occupied cell; more than is known: known."""
+    if value_at(room, row[X], row[Y]) - reach > known:
         return known
-    cosine, sine, least = np.cos(heading), np.sin(heading), known
+    cosine, sine, least = np.cos(row[HEADING]), np.sin(row[HEADING]), known
     for q in range(len(rim)):
-        at_x = x + cosine * rim[q, 0] - sine * rim[q, 1]
-        at_y = y + sine * rim[q, 0] + cosine * rim[q, 1]
-        least = min(least, look_up(room, at_x, at_y)[0])
+        x = row[X] + cosine * rim[q, 0] - sine * rim[q, 1]
+        y = row[Y] + sine * rim[q, 0] + cosine * rim[q, 1]
+        least = min(least, value_at(room, x, y))
     return least
 
 

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.bodies.curves import KEPT, LAST, Pull, basis_for, fitted, settle
-from anchorflow_trajectory.bodies.motion import COLUMNS, Limits, certify, drive, tabulate
+from anchorflow_trajectory.bodies.motion import CLOSE, COLUMNS, Limits, certify, drive, tabulate
 from anchorflow_trajectory.bodies.outline import Ground, Outline, ground_of
 from anchorflow_trajectory.bodies.search import Guide, Target, find_way, guide_along
 from anchorflow_trajectory.bodies.wheels import BACKWARD, FORWARD, TURNING, Wheels, moves_of
+from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid
 from anchorflow_trajectory.finish.refiner import Refined, numbered
@@ -27,13 +28,13 @@ Run = Callable[[Sequence[Callable[[], None]]], None]
 """Calls functions, side by side if it likes."""
 
 CELL_SHARE, LEAST_CELL, MOST_CELL = 0.3, 0.08, 1.0  # of a search: of the inner radius, and m
-GUIDE_CELLS, GUIDE_STEP = 128, 0.15  # most cells of a guide's side, and m between its points
+GUIDE_CELLS, GUIDE_STEP = 64, 0.15  # most cells of a guide's side, and m between its points
 MARGINS = (0.035, 0.015)  # m about the outline that a search keeps, if it can
 BETWEEN = 0.012  # m that the outline moves between two poses that are tested, from either
-MOST_WAYS, MOST_POSES, FEWER_POSES = 5, 5000, 1500  # tried; poses of the first's search and others'
+MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'
 RIM = 0.12  # m between two points of the outline
-FINE = 16  # rows of a span
-SETTLING = 24  # steps of a descent
+FINE = 8  # rows of a span
+SETTLING = 16  # steps of a descent
 WIDE, LEAST_MARGIN, MOST_MARGIN = 0.18, 0.04, 0.3  # m: noise of anchors, and room that they seek
 SHARES = (1.0, 0.5, 0.0)  # of an anchor's own shape, tried until it is safe
 PACES = (0.7, 0.97)  # shares of v_max
@@ -139,7 +140,7 @@ class BodyPlanner:
         cell = self._cell
         origin = np.asarray(scene.origin, np.float64)
         size = np.array(scene.occupied.shape) * scene.resolution
-        fine = max(cell, float(size.max()) / GUIDE_CELLS)
+        fine = max(2.0 * cell, float(size.max()) / GUIDE_CELLS)
         legs = np.hypot(*np.diff(route.points, axis=0).T)
         marks = np.append(0.0, legs.cumsum())
         at = np.linspace(0.0, marks[-1], max(2, int(marks[-1] / max(GUIDE_STEP, fine))))
@@ -233,6 +234,7 @@ class BodyPlanner:
         gears = np.array([each.gear for each in way])
         begins = np.append(0, np.cumsum([each.rows for each in way]))
         wheels, rim = self.body.wheels, outline.rim(RIM)
+        clear = 0.5 * RIM + BETWEEN + certified + CLOSE + self.scene.resolution
         most_bend = 1.02 / wheels.min_radius if wheels.min_radius > 0.0 else np.inf
 
         def checked(controls: list[FloatArray]) -> tuple[FloatArray, BoolArray, FloatArray]:
@@ -241,7 +243,7 @@ class BodyPlanner:
             table = np.concatenate(rows, axis=1)
             safe, least = certify(
                 table, gears, begins, self._ground, grown.corners, grown.reach, rim,
-                self._room, most_bend,
+                self._room, clear, most_bend,
             )  # fmt: skip
             return table, safe, least
 
@@ -285,15 +287,12 @@ class BodyPlanner:
         most_bend = wheels.omega_max / (0.5 * motion.v_max)
         if wheels.min_radius > 0.0:
             most_bend = 0.97 / wheels.min_radius
-        margins = np.broadcast_to(margin, len(controls))
-        for control, each in zip(controls, margins, strict=True):
-            pull = Pull(
-                float(each), 30.0, most_bend, 0.3, 1.0, 2.0, 0.1, 0.25 * self._cell
-            )
-            settle(
-                control, stretch.basis.band(np.float64), stretch.held, stretch.last, stretch.gear,
-                rim, reach, self._room, self._dear, pull, SETTLING,
-            )  # fmt: skip
+        margins = np.broadcast_to(np.float64(margin), len(controls))
+        pull = Pull(30.0, most_bend, 0.3, 1.0, 2.0, 0.1, 0.25 * self._cell)
+        settle(
+            controls, np.ascontiguousarray(margins), stretch.basis.band(np.float64), stretch.held,
+            stretch.last, stretch.gear, rim, reach, self._room, self._dear, pull, SETTLING,
+        )  # fmt: skip
         return controls
 
     def _varied(self, stretch: Stretch, base: FloatArray, drawn: FloatArray) -> FloatArray:
@@ -362,9 +361,7 @@ class BodyPlanner:
         scene = self.scene
         if not len(scene.rays.rows):
             return [()] * len(plane)
-        return [
-            *scene.rays.signatures(plane, resolution=scene.resolution, origin=scene.origin)
-        ]
+        return [*scene.rays.signatures(plane, resolution=scene.resolution, origin=scene.origin)]
 
     # What follows from the scene.
 
@@ -406,24 +403,24 @@ class BodyPlanner:
     def _cell(self) -> float:
         return float(np.clip(CELL_SHARE * self.body.outline.inner, LEAST_CELL, MOST_CELL))
 
-    @property
+    @cached_property
     def _limits(self) -> Limits:
         motion, wheels = self.scene.motion, self.body.wheels
         most_bend = 1.0 / wheels.min_radius if wheels.min_radius > 0.0 else np.inf
         window = float(np.clip(WINDOW * motion.v_max / motion.a_max, 0.1, 0.6))
         return Limits(motion.v_max, motion.a_max, wheels.omega_max, most_bend, window)
 
-    @property
+    @cached_property
     def _ground(self) -> Ground:
         scene = self.scene
         return ground_of(scene.occupied, scene.resolution, np.asarray(scene.origin))
 
-    @property
+    @cached_property
     def _room(self) -> Grid:
         ground = self._ground
         return Grid.of(GridField(ground.room, ground.resolution, self.scene.origin), np.float64)
 
-    @property
+    @cached_property
     def _dear(self) -> Grid:
         return Grid.of(self.scene.cost_fields.surcharge, np.float64)
 

@@ -147,7 +147,9 @@ def find_way(
                 continue
             cost = moves.costs[k] + (moves.stop if changes else 0.0)
             if surcharge.size:
-                cost += moves.lengths[k] * _at(surcharge, ground.x, ground.y, ground.resolution, pose)
+                cost += moves.lengths[k] * _at(
+                    surcharge, ground.x, ground.y, ground.resolution, pose
+                )
             cost += nodes.costs[node]
             nodes.poses[count], nodes.costs[count] = pose, cost
             nodes.driven[count] = np.inf if changes else nodes.driven[node] + moves.lengths[k]
@@ -169,9 +171,7 @@ def _at(field: FloatArray, x: float, y: float, resolution: float, pose: FloatArr
     """The value of a field [H, W] in the cell of a pose."""
     row = int((pose[1] - y) / resolution)
     column = int((pose[0] - x) / resolution)
-    return field[
-        min(max(row, 0), field.shape[0] - 1), min(max(column, 0), field.shape[1] - 1)
-    ]
+    return field[min(max(row, 0), field.shape[0] - 1), min(max(column, 0), field.shape[1] - 1)]
 
 
 @compiled
