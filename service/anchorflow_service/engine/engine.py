@@ -16,6 +16,7 @@ from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.bundle.graphs import OnnxGraphs
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning import CONDITIONINGS
+from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import FINISHES
 from anchorflow_service.engine.interfaces import (
     DT,
@@ -26,6 +27,7 @@ from anchorflow_service.engine.interfaces import (
     Sampler,
     Samples,
 )
+from anchorflow_service.engine.poses import PosePlanner
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
 from anchorflow_trajectory.threads import usable_cores
@@ -83,6 +85,7 @@ class Engine:
         graphs = graphs or OnnxGraphs(bundle, threads=self._threads, provider=provider)
         self.sampler: Sampler = kind(manifest, graphs, threads=self._threads)
         self._finish = FINISHES[manifest.finish.kind](manifest, threads=self._threads)
+        self._poses = PosePlanner(manifest, threads=self._threads)
         self._warm_up(bundle)
 
     def plan(
@@ -187,6 +190,10 @@ class Engine:
         self, scene: ConditionedScene, clock: StageClock, threads: int, check: Check
     ) -> Arrays:
         check()
+        if isinstance(scene, MapScene) and scene.request.has_body:
+            with clock.stage("refine"):
+                finished = self._poses.plan(scene, threads=threads)
+            return self._answer(scene, finished)
         with clock.stage("encode"):
             context = self.sampler.encode(scene, threads=threads)
         check()
@@ -194,6 +201,10 @@ class Engine:
             samples = self.sampler.sample(scene, context, threads=threads, check=check)
         with clock.stage("refine"):
             finished = self._finish.finish(samples, scene, threads=threads)
+        return self._answer(scene, finished)
+
+    def _answer(self, scene: ConditionedScene, finished: Arrays) -> Arrays:
+        """Return the arrays of the card, and the extras that the request lists."""
         asked = scene.request.outputs
         extras = [spec.name for spec in self.card.answer.extras if spec.name in asked]
         names = ("trajectories", *self.card.answer.arrays, *extras)

@@ -21,6 +21,7 @@ from anchorflow_trajectory.bodies.outline import Ground, touches
 from anchorflow_trajectory.bodies.wheels import TURNING
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import Grid
+from anchorflow_trajectory.movers import Discs, place_at
 from anchorflow_trajectory.spline.kernels import Band
 
 ALONG, X, Y, HEADING, BEND, CHANGE = range(6)
@@ -230,6 +231,7 @@ def drive(
     begins: NDArray[np.int64],
     limits: Limits,
     paces: FloatArray,
+    waits: FloatArray,
     begin: float,
     end: float,
     lasts: float,
@@ -239,7 +241,7 @@ def drive(
     """Drive along ways [N, R, 6]; returns whether each can be kept from its first speed on.
 
     Args:
-        paces: [N] shares of the highest speed.
+        paces: [N] shares of the highest speed; waits: [N] s at rest before.
         begin, end: m/s along the first stretch and the last.
         lasts: s that every motion spans, with a rest at its end; 0: each its own.
         motion: [3, N, T, 3], written: poses, their velocities and accelerations.
@@ -259,21 +261,21 @@ def drive(
             )
             for g in range(stretches)
         ]
-        total = 0.0
+        total = waits[n]
         for law, kept in laws:
             keeps[n] &= kept
             total += law.times[-1] + limits.window
         durations[n] = lasts if lasts > 0.0 else total
-        g, since = 0, 0.0
+        g, since = 0, waits[n]
         for t in range(steps):
             time = durations[n] * t / (steps - 1)
             while g < stretches - 1 and time > since + laws[g][0].times[-1] + limits.window:
                 since += laws[g][0].times[-1] + limits.window
                 g += 1
             law = laws[g][0]
-            within = min(time - since, law.times[-1] + limits.window)
+            within = min(max(time - since, 0.0), law.times[-1] + limits.window)
             place, speed, pull = averaged(law, limits.window, within)
-            if time - since > law.times[-1] + limits.window + 1e-9:
+            if not -1e-9 <= time - since <= law.times[-1] + limits.window + 1e-9:
                 speed, pull = 0.0, 0.0
             _pose(rows[n, begins[g] : begins[g + 1]], gears[g], place, speed, pull, motion[:, n, t])
     return keeps
@@ -302,3 +304,50 @@ def _pose(
     out[1, 0], out[1, 1], out[1, 2] = speed * cosine, speed * sine, speed * bend
     out[2, 0], out[2, 1] = pull * cosine - across * sine, pull * sine + across * cosine
     out[2, 2] = bend * pull + change * speed * speed
+
+
+@compiled
+def room_to_movers(
+    poses: FloatArray, durations: FloatArray, discs: Discs, corners: FloatArray, reach: float
+) -> NDArray[np.float64]:
+    """Return [N] m, a lower bound of the room between an outline and moving discs, all the way.
+
+    poses: [N, T, 3], straight between two; durations: [N] s; corners: [K, 2], counter-clockwise
+    """
+    least = np.full(len(poses), np.inf)
+    for n in range(len(poses)):
+        stride = durations[n] / (poses.shape[1] - 1)
+        for t in range(1, poses.shape[1]):
+            first, last = poses[n, t - 1], poses[n, t]
+            moved = np.hypot(last[0] - first[0], last[1] - first[1])
+            moved += abs(last[2] - first[2]) * reach
+            for j in range(len(discs.radius)):
+                at_x, at_y = place_at(discs, j, (t - 1) * stride)
+                to_x, to_y = place_at(discs, j, t * stride)
+                both = moved + np.hypot(to_x - at_x, to_y - at_y)
+                radius = discs.radius[j] + discs.growth * t * stride
+                away = np.hypot(first[0] - at_x, first[1] - at_y)
+                if away - both - reach - radius > least[n]:
+                    continue
+                parts = max(1, int(np.ceil(both / CLOSE)))
+                for part in range(parts + 1):
+                    share = part / parts
+                    x = at_x + share * (to_x - at_x) - first[0] - share * (last[0] - first[0])
+                    y = at_y + share * (to_y - at_y) - first[1] - share * (last[1] - first[1])
+                    heading = first[2] + share * (last[2] - first[2])
+                    free = _beside(corners, np.cos(heading), np.sin(heading), x, y)
+                    least[n] = min(least[n], free - radius - 0.5 * both / parts)
+    return least
+
+
+@compiled
+def _beside(corners: FloatArray, cosine: float, sine: float, x: float, y: float) -> float:
+    """m from a convex outline [K, 2] to a point beside its robot, or less at a corner."""
+    ahead, left = cosine * x + sine * y, cosine * y - sine * x
+    most, count = -np.inf, len(corners)
+    for k in range(count):
+        edge_x = corners[(k + 1) % count, 0] - corners[k, 0]
+        edge_y = corners[(k + 1) % count, 1] - corners[k, 1]
+        out = edge_y * (ahead - corners[k, 0]) - edge_x * (left - corners[k, 1])
+        most = max(most, out / np.hypot(edge_x, edge_y))
+    return most

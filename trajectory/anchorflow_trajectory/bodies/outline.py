@@ -1,4 +1,4 @@
-"""A robot's outline on a map: whether it touches an occupied cell, exactly, at a pose or on a way."""
+"""A robot's outline on a map: whether it touches an occupied cell, exactly, pose by pose."""
 
 from __future__ import annotations
 
@@ -87,6 +87,24 @@ class Outline:
         return np.concatenate(points)
 
 
+def covered(
+    outline: Outline,
+    pose: FloatArray,
+    *,
+    resolution: float,
+    origin: FloatArray,
+    shape: tuple[int, int],
+) -> BoolArray:
+    """Return [H, W], the cells that an outline at a pose [3] covers or touches."""
+    rows, columns = np.indices(shape)
+    at = origin + resolution * (np.stack([columns, rows], -1) + 0.5) - pose[:2]
+    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+    inside = at @ np.array([[cosine, -sine], [sine, cosine]])
+    grown = outline.grown(resolution / np.sqrt(2.0))
+    _, normal = grown._edges
+    return (inside @ normal.T <= (normal * grown.corners).sum(1)).all(-1)
+
+
 @compiled
 def touches(
     ground: Ground, corners: FloatArray, reach: float, pose: FloatArray, spans: FloatArray
@@ -131,8 +149,8 @@ def touches(
                 a, b = px + slope * (bottom - py), px + slope * (top - py)
             else:
                 a, b = px, qx
-            spans[0, line] = min(spans[0, line], min(a, b))
-            spans[1, line] = max(spans[1, line], max(a, b))
+            spans[0, line] = min(spans[0, line], a, b)
+            spans[1, line] = max(spans[1, line], a, b)
         px, py = qx, qy
     for line in range(lowest, highest + 1):
         left, right = int(np.floor(spans[0, line])), int(np.floor(spans[1, line]))

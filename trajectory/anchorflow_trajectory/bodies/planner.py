@@ -12,14 +12,23 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.bodies.curves import KEPT, LAST, Pull, basis_for, fitted, settle
-from anchorflow_trajectory.bodies.motion import CLOSE, COLUMNS, Limits, certify, drive, tabulate
-from anchorflow_trajectory.bodies.outline import Ground, Outline, ground_of
+from anchorflow_trajectory.bodies.motion import (
+    CLOSE,
+    COLUMNS,
+    Limits,
+    certify,
+    drive,
+    room_to_movers,
+    tabulate,
+)
+from anchorflow_trajectory.bodies.outline import Ground, Outline, ground_of, touches
 from anchorflow_trajectory.bodies.search import Guide, Target, find_way, guide_along
 from anchorflow_trajectory.bodies.wheels import BACKWARD, FORWARD, TURNING, Wheels, moves_of
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid
 from anchorflow_trajectory.finish.refiner import Refined, numbered
+from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
@@ -40,6 +49,10 @@ SHARES = (1.0, 0.5, 0.0)  # of an anchor's own shape, tried until it is safe
 PACES = (0.7, 0.97)  # shares of v_max
 WINDOW = 0.45  # s of the average, in v_max / a_max
 MOVING = 0.02  # m/s
+RINGS, DIRECTIONS = (0.45, 0.9), np.arange(12) / 6.0  # of a tolerance, and in half turns
+HEADINGS = np.array([0.0, 0.4, -0.4, 0.9, -0.9])  # of a tolerance
+YIELDS = ((0.0, 1.0), (0.0, 0.6), (0.6, 1.0), (1.5, 1.0), (3.0, 1.0), (0.0, 0.35), (6.0, 1.0))
+"""Waits [s] and factors on the speed, tried until nothing that moves is met."""
 BLOCKED = 10.0  # score that an anchor loses which is not safe
 COMFORT = 0.4  # m of room from which more is worth nothing
 
@@ -89,14 +102,14 @@ class Stretch:
 class BodyPlanner:
     """Plans for one scene, whose `robot_radius` is the outline's inner radius.
 
-    goal_heading: whether the goal's heading counts; tolerance: m about the goal
+    tolerance: m and rad about the goal's place and heading at which a way may end if the outline
+        does not fit there; None for the heading: any will do
     steps: T; run: of the work of ways
     """
 
     scene: Scene
     body: Body
-    goal_heading: bool
-    tolerance: float
+    tolerance: tuple[float, float | None]
     steps: int
     run: Run
 
@@ -105,7 +118,7 @@ class BodyPlanner:
         ways = self._ways(certified_margin)
         share = _shares(len(ways), count)
         rng = np.random.default_rng(seed)
-        parts: list[_Anchors | None] = [None] * len(ways)
+        parts: list[_Driven | None] = [None] * len(ways)
         drawn = [rng.normal(size=(n, 2, 3)) for n in share]
         paces = [rng.uniform(*PACES, n) for n in share]
 
@@ -159,7 +172,7 @@ class BodyPlanner:
             start,
             BACKWARD if self._first_speed < 0.0 else FORWARD,
             0.5 * self._first_speed**2 / (0.7 * motion.a_max) if self._moves else 0.0,
-            Target(self._goal, self.goal_heading, self.tolerance),
+            Target(self._goal, self._heading_counts),
             most,
         )
         return way
@@ -213,7 +226,7 @@ class BodyPlanner:
                 empty = np.empty((0, 2))
                 stretches.append(Stretch(gear, poses[[0, -1]], None, empty, 0, 0))
                 continue
-            fixed_end = k < len(bounds) - 2 or self.goal_heading
+            fixed_end = k < len(bounds) - 2 or self._heading_counts
             length = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
             basis = basis_for(length, self._cell)
             bend = self._first_bend if k == 0 and self._moves else None
@@ -227,7 +240,7 @@ class BodyPlanner:
 
     def _anchors(
         self, way: list[Stretch], drawn: FloatArray, paces: FloatArray, certified: float
-    ) -> _Anchors:
+    ) -> _Driven:
         """Return anchors along a way, with shapes drawn [N, 2, 3] and paces [N]."""
         count, outline = len(drawn), self.body.outline
         grown = outline.grown(BETWEEN + certified)
@@ -269,14 +282,63 @@ class BodyPlanner:
             done = chosen[safe]
             table[done], is_safe[done], room[done] = rows[safe], True, least[safe]
             todo[done] = False
-        motion = np.zeros((3, count, self.steps, 3))
-        durations = np.empty(count)
-        last_speed = self._last_speed(way[-1])
+        driven = _Driven.empty(count, self.steps)
+        timed = partial(self._drive, table, gears, begins, self._last_speed(way[-1]))
+        keeps = timed(driven, np.arange(count), paces, 0.0)
+        driven.room[:] = room
+        driven.safe[:] = is_safe & keeps
+        self._pass_movers(driven, timed, paces, certified)
+        return driven
+
+    def _drive(
+        self,
+        table: FloatArray,
+        gears: NDArray[np.int64],
+        begins: NDArray[np.int64],
+        end: float,
+        driven: _Driven,
+        chosen: NDArray[np.intp],
+        paces: FloatArray,
+        wait: float,
+    ) -> BoolArray:
+        """Write the motions of the anchors that are chosen; returns whether limits are kept."""
+        motion = np.zeros((3, len(chosen), self.steps, 3))
+        durations = np.empty(len(chosen))
+        lasts = self.scene.motion.horizon_s or 0.0
         keeps = drive(
-            table, gears, begins, self._limits, paces, abs(self._first_speed), last_speed,
-            self.scene.motion.horizon_s or 0.0, motion, durations,
+            table[chosen], gears, begins, self._limits, np.ascontiguousarray(paces),
+            np.full(len(chosen), wait), abs(self._first_speed), end, lasts, motion, durations,
         )  # fmt: skip
-        return _Anchors(motion, durations, is_safe & keeps, room, table)
+        driven.motion[:, chosen], driven.duration[chosen] = motion, durations
+        return keeps
+
+    def _pass_movers(
+        self,
+        driven: _Driven,
+        timed: Callable[..., BoolArray],
+        paces: FloatArray,
+        certified: float,
+    ) -> None:
+        """Let anchors that meet something that moves wait, or drive slower, until they do not."""
+        if self.scene.movers is None:
+            return
+        discs = Discs.of(self.scene.movers, np.float64)
+        outline, free, room = self.body.outline, driven.safe.copy(), driven.room.copy()
+        chosen = np.flatnonzero(free)
+        for wait, slower in YIELDS:
+            if wait or slower != 1.0:
+                if wait and self._moves:
+                    continue
+                free[chosen] &= timed(driven, chosen, slower * paces[chosen], wait)
+            if not len(chosen):
+                return
+            found = room_to_movers(
+                driven.motion[0, chosen], driven.duration[chosen], discs, outline.corners,
+                outline.reach,
+            )  # fmt: skip
+            driven.safe[chosen] = free[chosen] & (found >= certified)
+            driven.room[chosen] = np.minimum(room[chosen], found)
+            chosen = chosen[~driven.safe[chosen]]
 
     def _settled(self, stretch: Stretch, controls: FloatArray, margin: float) -> FloatArray:
         """Descend on curves [N, K, 2], which change, to `margin` m of room each."""
@@ -316,15 +378,13 @@ class BodyPlanner:
         margins = LEAST_MARGIN + (MOST_MARGIN - LEAST_MARGIN) * wish
         return self._settled(stretch, np.ascontiguousarray(controls), margins)
 
-    def _joined(self, parts: Sequence[_Anchors]) -> Refined:
+    def _joined(self, parts: Sequence[_Driven]) -> Refined:
         """Return the anchors of all ways with their scores, those of a way next to one another."""
         motion = np.concatenate([part.motion for part in parts], 1)
         duration = np.concatenate([part.duration for part in parts])
         safe = np.concatenate([part.safe for part in parts])
         room = np.concatenate([part.room for part in parts])
         scores = self._scores(motion, duration, room) - BLOCKED * ~safe
-        gears = [tuple(np.unique(part.motion[1, :, :, 0] != 0.0)) for part in parts]
-        del gears
         numbers = np.repeat(np.arange(len(parts)), [len(part.safe) for part in parts])
         classes = list(zip(numbers.tolist(), self._classes(motion[0, ..., :2]), strict=True))
         position, velocity, acceleration = motion.astype(np.float32)
@@ -370,8 +430,28 @@ class BodyPlanner:
         return np.array(self.scene.x_curr[:3], np.float64)
 
     @property
+    def _heading_counts(self) -> bool:
+        return self.tolerance[1] is not None
+
+    @cached_property
     def _goal(self) -> NDArray[np.float64]:
-        return np.array(self.scene.x_goal[:3], np.float64)
+        """[3], the goal, or the nearest pose within its tolerance at which the outline fits."""
+        goal = np.array(self.scene.x_goal[:3], np.float64)
+        within, turn = self.tolerance
+        turns = HEADINGS[:1] if turn is None else HEADINGS * turn
+        ring = np.stack([np.cos(np.pi * DIRECTIONS), np.sin(np.pi * DIRECTIONS)], 1)
+        places = [np.zeros((1, 2)), *(share * within * ring for share in RINGS)]
+        outline = self.body.outline.grown(BETWEEN)
+        spans = np.empty((2, self._ground.room.shape[0]))
+        for place in np.concatenate(places[: 1 + len(RINGS) * (within > 0.0)]):
+            for aside in turns:
+                pose = goal + np.array([*place, aside])
+                headings = pose[2] + np.pi * DIRECTIONS if turn is None else pose[2:]
+                for heading in headings:
+                    tried = np.array([pose[0], pose[1], heading])
+                    if not touches(self._ground, outline.corners, outline.reach, tried, spans):
+                        return pose
+        return goal
 
     @property
     def _first_speed(self) -> float:
@@ -426,14 +506,19 @@ class BodyPlanner:
 
 
 @dataclass(frozen=True, eq=False)
-class _Anchors:
+class _Driven:
     """Anchors along one way: motion [3, N, T, 3], durations [N] s, verdicts and room [N] m."""
 
     motion: FloatArray
     duration: FloatArray
     safe: BoolArray
     room: FloatArray
-    rows: FloatArray
+
+    @staticmethod
+    def empty(count: int, steps: int) -> _Driven:
+        """Return anchors to be written."""
+        numbers = np.zeros((3, count, steps, 3)), np.zeros(count)
+        return _Driven(*numbers, np.zeros(count, np.bool_), np.full(count, np.inf))
 
 
 def _shares(ways: int, count: int) -> list[int]:

@@ -37,11 +37,10 @@ class Guide(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Where ways end: a pose [3]; heading: whether its heading counts; tolerance: m."""
+    """Where ways end: a pose [3], whose heading may not count."""
 
     pose: FloatArray
     heading: bool
-    tolerance: float
 
 
 class Nodes(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
+from anchorflow_trajectory.bodies.outline import Outline, covered
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
@@ -62,6 +64,8 @@ class CostMapConditioning:
         near = _moved(request, reference) if reference.any() else request
         movers = moving_discs(near.obstacles)
         scenes = [self._scene(near, index, movers) for index in range(request.num_scenes)]
+        if request.has_body:  # its goal and what moves are matters of its outline
+            return [MapScene(near, scene, reference) for scene in scenes]
         if (tolerance := request.goal_tolerance) is not None:
             for index, scene in enumerate(scenes):
                 moved = _within_tolerance(scene, tolerance.position)
@@ -79,22 +83,22 @@ class CostMapConditioning:
         """Return a scene of a request."""
         cost_map, limits = request.cost_map, _limits(request)
         cells, resolution = finer_cells(cost_map.data[index], cost_map.resolution)
+        start, radius = request.x_curr[index], limits.robot_radius
+        outline = outline_of(request) if request.has_body else None
         if request.clear_start:
-            cells = cells.copy()
-            under = cells_under(
-                request.x_curr[index, :2],
-                limits.robot_radius,
-                resolution=resolution,
-                origin=cost_map.origin,
-                shape=cells.shape[1:],
-            )
-            cells[0, under] = 0.0
+            cells, (height, width) = cells.copy(), cells.shape[1:]
+            grid: Any = {"resolution": resolution, "origin": cost_map.origin}
+            grid["shape"] = (height, width)
+            if outline is None:
+                cells[0, cells_under(start[:2], radius, **grid)] = 0.0
+            else:
+                cells[0, covered(outline, start[:3], **grid)] = 0.0
         return Scene(
             cost_map=cells,
             resolution=resolution,
             origin=cost_map.origin,
-            robot_radius=limits.robot_radius,
-            x_curr=request.x_curr[index],
+            robot_radius=radius if outline is None else outline.inner,
+            x_curr=start,
             x_goal=request.x_goal[index],
             w_style=request.w_style[index],
             motion=MotionLimits(limits.v_max, limits.a_max, limits.horizon_s),
@@ -150,6 +154,14 @@ class MapScene:
         if not self.reference.any():
             return arrays
         return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
+
+
+def outline_of(request: ResolvedRequest) -> Outline:
+    """Return the footprint of a request, or a polygon about its disc."""
+    if request.footprint is not None:
+        return Outline(request.footprint)
+    assert request.limits is not None  # a request for poses is on a map
+    return Outline.disc(request.limits.robot_radius)
 
 
 def moving_discs(obstacles: Obstacles | None) -> MovingDiscs | None:

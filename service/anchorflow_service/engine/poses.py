@@ -1,0 +1,68 @@
+"""Poses: anchors for a robot with an outline and wheels, which are searched and not sampled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from anchorflow_client.contract.body import Kinematics
+from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.engine.conditioning.cost_map import MapScene, outline_of
+from anchorflow_service.engine.interfaces import DT, Arrays
+from anchorflow_service.engine.thread_pool import ThreadPool
+from anchorflow_trajectory.bodies.planner import Body, BodyPlanner
+from anchorflow_trajectory.bodies.wheels import Wheels
+
+
+def wheels_of(kinematics: Kinematics | None) -> Wheels:
+    """Return what the wheels of a request allow; a body without wheels may do as it likes."""
+    if kinematics is None:
+        return Wheels(Kinematics("omni").omega_max, reverse=True)
+    drives = kinematics.kind != "omni"
+    return Wheels(
+        kinematics.omega_max,
+        kinematics.min_turning_radius if drives else 0.0,
+        reverse=kinematics.reverse or not drives,
+        spot=kinematics.kind != "ackermann",
+    )
+
+
+class PosePlanner:
+    """Plans poses for the scenes of requests; its routes and limits are those of other anchors."""
+
+    def __init__(self, manifest: Manifest, *, threads: int) -> None:
+        self._steps = manifest.time.steps
+        self._pool = ThreadPool(threads, name="anchorflow-poses")
+
+    def plan(self, scene: MapScene, *, threads: int) -> Arrays:
+        """Return the arrays of an answer with D = 3, and the anchors' time steps."""
+        request = scene.request
+        tolerance = request.goal_tolerance
+
+        def run(work: Sequence[Callable[[], None]]) -> None:
+            if threads > 1 and len(work) > 1:
+                self._pool.run(work)
+                return
+            for each in work:
+                each()
+
+        planner = BodyPlanner(
+            scene.scene,
+            Body(outline_of(request), wheels_of(request.kinematics)),
+            (0.0, 0.0) if tolerance is None else (tolerance.position, tolerance.heading),
+            self._steps,
+            run,
+        )
+        found = planner.plan(request.num_samples, request.seed, request.certified_margin)
+        own = {DT: found.duration / (self._steps - 1)} if scene.limits.horizon_s is None else {}
+        return {
+            "trajectories": found.positions,
+            "velocities": found.velocities,
+            "accelerations": found.accelerations,
+            "scores": found.scores,
+            "clearance": found.clearance,
+            "safe": found.safe,
+            "routes": found.routes,
+            **own,
+        }
