@@ -1,1 +1,1 @@
-"""Robots with an outline and a heading: ways that they fit through and that their wheels can drive."""
+"""Robots with an outline and a heading: ways that they fit through and that they can drive."""

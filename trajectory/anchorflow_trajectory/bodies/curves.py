@@ -22,6 +22,7 @@ SPACING, LEAST_SPANS, MOST_SPANS = 2.2, 3, 60  # cells of a search from knot to 
 LOOKS = 3  # samples of a span at which the cost of a curve is measured
 KEPT, LAST = 2, 2  # control points that a start's pose fixes, and an end's
 TINY = 1e-9
+STIFF = 0.5  # weight of third differences beside distances, in a fit
 FIRST_MOMENT, SECOND_MOMENT = 0.8, 0.95  # of Adam
 
 
@@ -76,8 +77,10 @@ def fitted(
     free = slice(held, count - last)
     matrix = basis.position.astype(np.float64)
     residual = wanted - matrix @ control
-    rows = matrix[:, free]
-    control[free] = np.linalg.solve(rows.T @ rows, rows.T @ residual)
+    jumps = np.diff(np.eye(count), 3, axis=0)
+    rows = np.concatenate([matrix, STIFF * jumps])[:, free]
+    wanted = np.concatenate([residual, -STIFF * jumps @ control])
+    control[free] = np.linalg.solve(rows.T @ rows, rows.T @ wanted)
     return control
 
 

@@ -128,7 +128,7 @@ def _touched(
 
 @compiled
 def _room(rim: FloatArray, reach: float, room: Grid, row: FloatArray, known: float) -> float:
-    """m from the outline [Q, 2] at a row [6] to the nearest occupied cell; more than is known: known."""
+    """m from the outline [Q, 2] at a row [6] to the nearest occupied cell; at most `known`."""
     if value_at(room, row[X], row[Y]) - reach > known:
         return known
     cosine, sine, least = np.cos(row[HEADING]), np.sin(row[HEADING]), known
@@ -148,52 +148,55 @@ def law_along(
     pace: share of the highest speed; begin, end: m/s
     """
     count, window = len(rows), limits.window
-    places, speeds = np.empty(count), np.empty(count)
     length = rows[count - 1, ALONG]
     shorter = max(length - 0.5 * window * (begin + end), 0.1 * length)
-    scale = shorter / max(length, 1e-12)
-    most = pace * limits.v_max
+    places = rows[:, ALONG] * (shorter / max(length, 1e-12))
     pull = PULLING * limits.a_max
     if turning:
-        most = pace * SPIN_SHARE * limits.omega_max
         pull = limits.omega_max / SPIN_S
-    half = 0.5 * window * most
-    low, high = 0, 0
-    for k in range(count):
-        places[k] = rows[k, ALONG] * scale
-        speeds[k] = most
-        if turning:
-            continue
-        while rows[low, ALONG] < rows[k, ALONG] - half:
-            low += 1
-        while high < count - 1 and rows[high, ALONG] < rows[k, ALONG] + half:
-            high += 1
-        bend = TIGHT
-        for other in range(low, high + 1):
-            bend = max(bend, abs(rows[other, BEND]))
-        speeds[k] = min(most, SPIN_SHARE * limits.omega_max / bend)
-        speeds[k] = min(speeds[k], np.sqrt(SIDEWAYS * limits.a_max / bend))
+        speeds = np.full(count, pace * SPIN_SHARE * limits.omega_max)
+    else:
+        speeds = _highest_speeds(rows, limits, pace)
     keeps = begin <= speeds[0] * 1.1 + 1e-3
     speeds[0], speeds[count - 1] = begin, min(end, speeds[count - 1])
     for k in range(count - 2, 0, -1):
         ahead = speeds[k + 1] ** 2 + 2.0 * pull * (places[k + 1] - places[k])
         speeds[k] = min(speeds[k], np.sqrt(ahead))
-    if count > 1:
-        keeps &= begin**2 <= 1.2 * (speeds[1] ** 2 + 2.0 * pull * (places[1] - places[0])) + 1e-6
+    reached = speeds[1] ** 2 + 2.0 * pull * (places[1] - places[0])
+    keeps &= begin**2 <= 1.2 * reached + 1e-6
     for k in range(1, count):
         before = speeds[k - 1] ** 2 + 2.0 * pull * (places[k] - places[k - 1])
         speeds[k] = min(speeds[k], np.sqrt(before))
     times, integrals = np.zeros(count), np.zeros(count)
     for k in range(1, count):
-        step = places[k] - places[k - 1]
         mean = max(0.5 * (speeds[k] + speeds[k - 1]), 1e-6)
-        lasts = step / mean
+        lasts = (places[k] - places[k - 1]) / mean
         times[k] = times[k - 1] + lasts
         # The place is a parabola between two rows.
         change = (speeds[k] - speeds[k - 1]) * lasts * lasts / 6.0
         integrals[k] = integrals[k - 1] + lasts * (places[k - 1] + 0.5 * speeds[k - 1] * lasts)
         integrals[k] += change
     return Law(places, speeds, times, integrals), keeps
+
+
+@compiled
+def _highest_speeds(rows: FloatArray, limits: Limits, pace: float) -> NDArray[np.float64]:
+    """The highest speeds [R] in the bends of a stretch [R, 6] that is driven.
+
+    Each holds for the bends within half a window too, since the law is averaged.
+    """
+    most, count = pace * limits.v_max, len(rows)
+    half, low, high = 0.5 * limits.window * most, 0, 0
+    speeds = np.empty(count)
+    for k in range(count):
+        while rows[low, ALONG] < rows[k, ALONG] - half:
+            low += 1
+        while high < count - 1 and rows[high, ALONG] < rows[k, ALONG] + half:
+            high += 1
+        bend = max(np.abs(rows[low : high + 1, BEND]).max(), TIGHT)
+        in_turns = SPIN_SHARE * limits.omega_max / bend
+        speeds[k] = min(most, in_turns, np.sqrt(SIDEWAYS * limits.a_max / bend))
+    return speeds
 
 
 @compiled

@@ -123,35 +123,26 @@ def touches(
         return True
     if ground.room[row, column] > reach + 0.71 * ground.resolution:
         return False
-    cosine = np.cos(pose[2]) / ground.resolution
-    sine = np.sin(pose[2]) / ground.resolution
-    lowest, highest, count = 0, -1, len(corners)
-    px = u + cosine * corners[count - 1, 0] - sine * corners[count - 1, 1]
-    py = v + sine * corners[count - 1, 0] + cosine * corners[count - 1, 1]
-    for k in range(count):
-        qx = u + cosine * corners[k, 0] - sine * corners[k, 1]
-        qy = v + sine * corners[k, 0] + cosine * corners[k, 1]
-        first, last = int(np.floor(min(py, qy))), int(np.floor(max(py, qy)))
-        if first < 0 or last >= height:
-            return True
-        if highest < 0:
-            lowest, highest = first, first - 1
-        while lowest > first:
-            lowest -= 1
-            spans[0, lowest], spans[1, lowest] = np.inf, -np.inf
-        while highest < last:
-            highest += 1
-            spans[0, highest], spans[1, highest] = np.inf, -np.inf
-        slope = (qx - px) / (qy - py) if qy != py else 0.0
-        for line in range(first, last + 1):
-            bottom, top = max(min(py, qy), line), min(max(py, qy), line + 1)
-            if qy != py:
-                a, b = px + slope * (bottom - py), px + slope * (top - py)
-            else:
-                a, b = px, qx
-            spans[0, line] = min(spans[0, line], a, b)
-            spans[1, line] = max(spans[1, line], a, b)
-        px, py = qx, qy
+    cosine, sine = np.cos(pose[2]) / ground.resolution, np.sin(pose[2]) / ground.resolution
+    low, high = v, v
+    for k in range(len(corners)):
+        y = v + sine * corners[k, 0] + cosine * corners[k, 1]
+        low, high = min(low, y), max(high, y)
+    lowest, highest = int(np.floor(low)), int(np.floor(high))
+    if lowest < 0 or highest >= height:
+        return True
+    spans[0, lowest : highest + 1], spans[1, lowest : highest + 1] = np.inf, -np.inf
+    before = len(corners) - 1
+    for k in range(len(corners)):
+        (px, py), (qx, qy) = corners[before], corners[k]
+        _span_edge(
+            u + cosine * px - sine * py,
+            v + sine * px + cosine * py,
+            u + cosine * qx - sine * qy,
+            v + sine * qx + cosine * qy,
+            spans,
+        )
+        before = k
     for line in range(lowest, highest + 1):
         left, right = int(np.floor(spans[0, line])), int(np.floor(spans[1, line]))
         if left < 0 or right >= width:
@@ -162,11 +153,14 @@ def touches(
 
 
 @compiled
-def first_touch(
-    ground: Ground, corners: FloatArray, reach: float, poses: FloatArray, spans: FloatArray
-) -> int:
-    """Return the index of the first of the poses [P, 3] at which a polygon touches; -1 if none."""
-    for k in range(len(poses)):
-        if touches(ground, corners, reach, poses[k], spans):
-            return k
-    return -1
+def _span_edge(px: float, py: float, qx: float, qy: float, spans: FloatArray) -> None:
+    """Widen the spans [2, H] of the rows that an edge between two points in cells passes."""
+    low, high = min(py, qy), max(py, qy)
+    slope = (qx - px) / (qy - py) if qy != py else 0.0
+    for line in range(int(np.floor(low)), int(np.floor(high)) + 1):
+        if qy != py:
+            a, b = px + slope * (max(low, line) - py), px + slope * (min(high, line + 1) - py)
+        else:
+            a, b = px, qx
+        spans[0, line] = min(spans[0, line], a, b)
+        spans[1, line] = max(spans[1, line], a, b)

@@ -1,4 +1,4 @@
-"""Anchors for a body with a heading: N motions along the ways on which it fits and its wheels go."""
+"""Anchors for a body with a heading: N motions along ways that it fits through and can drive."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ Run = Callable[[Sequence[Callable[[], None]]], None]
 
 CELL_SHARE, LEAST_CELL, MOST_CELL = 0.3, 0.08, 1.0  # of a search: of the inner radius, and m
 GUIDE_CELLS, GUIDE_STEP = 64, 0.15  # most cells of a guide's side, and m between its points
-MARGINS = (0.035, 0.015)  # m about the outline that a search keeps, if it can
+TRIES = ((0.035, 1.0), (0.015, 1.0), (0.013, 0.5))
+"""Margins [m] about the outline that a search keeps, and its cell in shares of the usual one."""
 BETWEEN = 0.012  # m that the outline moves between two poses that are tested, from either
 MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'
 RIM = 0.12  # m between two points of the outline
@@ -133,24 +134,24 @@ class BodyPlanner:
     def _ways(self, certified: float) -> list[list[Stretch]]:
         """Return the ways on which the body fits, the cheapest first; at least one."""
         routes = self.scene.routes[:MOST_WAYS]
-        for margin in MARGINS:
+        for margin, finer in TRIES:
             found: list[NDArray[np.float64]] = [np.empty((0, 4))] * len(routes)
 
-            def search(k: int, margin: float = margin) -> None:
+            def search(k: int, margin: float = margin, finer: float = finer) -> None:
                 most = FEWER_POSES if k else MOST_POSES
-                found[k] = self._search(routes[k], margin + certified, most)  # noqa: B023
+                cell = finer * self._cell
+                found[k] = self._search(routes[k], margin + certified, cell, most)  # noqa: B023
 
             self.run([partial(search, k) for k in range(len(routes))])
             if ways := self._different([way for way in found if len(way) > 1]):
                 return [self._stretches(way) for way in ways]
         return [self._stretches(self._along(routes))]
 
-    def _search(self, route: Route, margin: float, most: int) -> NDArray[np.float64]:
+    def _search(self, route: Route, margin: float, cell: float, most: int) -> NDArray[np.float64]:
         """Return a way [P, 4] along a route, or an empty one."""
         scene, start = self.scene, self._start
         outline = self.body.outline.grown(margin)
         motion = scene.motion
-        cell = self._cell
         origin = np.asarray(scene.origin, np.float64)
         size = np.array(scene.occupied.shape) * scene.resolution
         fine = max(2.0 * cell, float(size.max()) / GUIDE_CELLS)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 FORWARD, BACKWARD, TURNING = 1, -1, 0
 """Gears."""
-SPARE = 1.08  # of the tightest turn: bends of a spline are tighter than what it follows
+SPARE = 1.13  # of the tightest turn: bends of a spline are tighter than what it follows
 STEP = 1.8  # cells of a search that a short motion covers
 LOOKS = 3  # poses of a short motion at which it is tested
 SOFT_TURN, HARD_TURN = 0.17, 0.36  # rad of heading in a short motion
@@ -81,7 +81,7 @@ def moves_of(wheels: Wheels, *, cell: float, v_max: float, a_max: float) -> Move
         radius,
         wheels.reverse,
         wheels.spot,
-        int(round(2.0 * np.pi / SOFT_TURN)),
+        round(2.0 * np.pi / SOFT_TURN),
     )
 
 
