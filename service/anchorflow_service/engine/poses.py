@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from anchorflow_client.contract.body import Kinematics
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.conditioning.cost_map import MapScene, outline_of

@@ -44,8 +44,9 @@ BETWEEN = 0.012  # m that the outline moves between two poses that are tested, f
 MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'
 RIM = 0.12  # m between two points of the outline
 FINE = 8  # rows of a span
-SETTLING = 16  # steps of a descent
+SETTLING, LONG = 16, 60  # steps of a descent, and of a way's own curve
 WIDE, LEAST_MARGIN, MOST_MARGIN = 0.18, 0.04, 0.3  # m: noise of anchors, and room that they seek
+BEND = 1.0  # weight of bends that are too tight
 SHARES = (1.0, 0.5, 0.0)  # of an anchor's own shape, tried until it is safe
 PACES = (0.7, 0.97)  # shares of v_max
 WINDOW = 0.45  # s of the average, in v_max / a_max
@@ -262,7 +263,7 @@ class BodyPlanner:
             return table, safe, least
 
         raw = [each.control[None] for each in way]
-        settled = [self._settled(s, s.control[None].copy(), LEAST_MARGIN) for s in way]
+        settled = [self._settled(s, s.control[None].copy(), LEAST_MARGIN, LONG) for s in way]
         rows, safe, least = checked(settled)
         if not safe[0]:
             settled = raw
@@ -341,7 +342,13 @@ class BodyPlanner:
             driven.room[chosen] = np.minimum(room[chosen], found)
             chosen = chosen[~driven.safe[chosen]]
 
-    def _settled(self, stretch: Stretch, controls: FloatArray, margin: float) -> FloatArray:
+    def _settled(
+        self,
+        stretch: Stretch,
+        controls: FloatArray,
+        margin: float | FloatArray,
+        steps: int = SETTLING,
+    ) -> FloatArray:
         """Descend on curves [N, K, 2], which change, to `margin` m of room each."""
         if stretch.basis is None:
             return controls
@@ -349,12 +356,12 @@ class BodyPlanner:
         wheels, motion = self.body.wheels, self.scene.motion
         most_bend = wheels.omega_max / (0.5 * motion.v_max)
         if wheels.min_radius > 0.0:
-            most_bend = 0.97 / wheels.min_radius
+            most_bend = 0.96 / wheels.min_radius
         margins = np.broadcast_to(np.float64(margin), len(controls))
-        pull = Pull(30.0, most_bend, 0.3, 1.0, 2.0, 0.1, 0.25 * self._cell)
+        pull = Pull(30.0, most_bend, BEND, 1.0, 2.0, 0.1, 0.25 * self._cell)
         settle(
             controls, np.ascontiguousarray(margins), stretch.basis.band(np.float64), stretch.held,
-            stretch.last, stretch.gear, rim, reach, self._room, self._dear, pull, SETTLING,
+            stretch.last, stretch.gear, rim, reach, self._room, self._dear, pull, steps,
         )  # fmt: skip
         return controls
 

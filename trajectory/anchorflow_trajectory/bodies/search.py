@@ -1,8 +1,9 @@
 """Ways of a body: A* over poses, each as it is driven and not rounded to a cell.
 
 After Dolgov et al., "Path planning for autonomous vehicles in unknown semi-structured
-environments", International Journal of Robotics Research 29, 2010. A search follows a route of the map: what is left of a way is counted along it, and what lies beside
-it counts more. So each route gives a way of its own, if the body fits through it.
+environments", International Journal of Robotics Research 29, 2010. A search follows a route of the
+map: what is left of a way is counted along it, and what lies beside it counts more. So each route
+gives a way of its own, if the body fits through it.
 """
 
 from __future__ import annotations
