@@ -156,25 +156,34 @@ def _fill_headings(states: Floats, heading: np.float32) -> None:
 
 @compiled
 def follow(
-    limits: Limits, start: Floats, references: Floats, dt: np.float32, controls: Floats
+    limits: Limits,
+    start: Floats,
+    references: Floats,
+    paces: Floats,
+    dt: np.float32,
+    controls: Floats,
 ) -> None:
-    """Write the controls [A,T,2] with which a robot in a state [5] follows references [A,S,5]."""
-    for k in range(len(references)):
+    """Write the controls [A*P,T,2] with which a robot in a state [5] follows references [A,S,5].
+
+    paces: [P], at which each is followed in turn, as shares of its own pace
+    """
+    for k in range(len(controls)):
+        reference, haste = references[k // len(paces)], paces[k % len(paces)]
         state = (start[0], start[1], start[2], start[3], start[4])
-        at, last = NONE, np.float32(references.shape[1] - 1)
+        at, last = NONE, np.float32(len(reference) - 1)
         for t in range(controls.shape[1]):
-            here, there = min(at, last), min(at + ONE, last)
+            here, there = min(at, last), min(at + haste, last)
             if limits.kind == OMNI:
-                first, second, pace = _omni_pull(state, references[k], here, there)
+                first, second, pace = _omni_pull(state, reference, here, there, haste)
             else:
-                first, second, pace = _wheeled_pull(limits, state, references[k], here, there)
+                first, second, pace = _wheeled_pull(limits, state, reference, here, there, haste)
             first, second = (first - state[3]) / dt, (second - state[4]) / dt
             before = state
             state = step(limits, state, first, second, dt)
             # What the limits left of it.
             controls[k, t, 0] = (state[3] - before[3]) / dt
             controls[k, t, 1] = (state[4] - before[4]) / dt
-            at += pace
+            at += haste * pace
 
 
 @compiled
@@ -190,10 +199,11 @@ def _omni_pull(
     reference: Floats,
     here: np.float32,
     there: np.float32,
+    haste: np.float32,
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Return the velocity for the end of a step, and the steps that the reference advances."""
+    """Return the velocity for the end of a step, and the share that the reference advances."""
     off_x, off_y = _between(reference, here, 0) - state[0], _between(reference, here, 1) - state[1]
-    vx, vy = _between(reference, there, 3), _between(reference, there, 4)
+    vx, vy = haste * _between(reference, there, 3), haste * _between(reference, there, 4)
     speed = np.sqrt(vx * vx + vy * vy)
     behind = (off_x * vx + off_y * vy) / max(speed, SLOW)
     pace = within(ONE - behind / LAG, NONE, HURRY)
@@ -207,8 +217,9 @@ def _wheeled_pull(
     reference: Floats,
     here: np.float32,
     there: np.float32,
+    haste: np.float32,
 ) -> tuple[np.float32, np.float32, np.float32]:
-    """Return speed and turn rate for the end of a step, and the steps that the reference advances.
+    """Return speed and turn rate for the end of a step, and the share that the reference advances.
 
     Kanayama et al. (1990); a robot that can turn on the spot does so far off its course.
     """
@@ -218,9 +229,9 @@ def _wheeled_pull(
     behind, left = cos * off_x + sin * off_y, cos * off_y - sin * off_x
     course = reference[int(here + np.float32(0.5)), 2] - heading
     course = np.arctan2(np.sin(course), np.cos(course))
-    v, w = _between(reference, there, 3), _between(reference, there, 4)
     if limits.curvature >= SHARPEST and abs(course) > ON_THE_SPOT:
         return NONE, TURN * course, NONE
+    v, w = haste * _between(reference, there, 3), haste * _between(reference, there, 4)
     ahead = behind if v >= NONE else -behind
     pace = within(ONE - ahead / LAG, NONE, HURRY)
     speed = v * np.cos(course) + ALONG * behind

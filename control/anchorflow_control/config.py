@@ -64,7 +64,7 @@ class MppiConfig:
     """Cost of a second in collision."""
     nearness: float = 2.0
     """Cost of a metre just beyond the margin; it falls to 0 with the square of what is left."""
-    distance: float = 0.3
+    distance: float = 0.1
     """Cost of a second per m from the goal."""
     arrival: float = 1.0
     """The same within 1 m of the goal, in addition."""

@@ -35,6 +35,7 @@ Array = NDArray[np.float64]
 
 TICK = Interval(0.0, 1.0, "s", open_low=True)
 HELD, ENDED, BRAKING, STANDING = 0, 1, 2, 3  # motions without an anchor, and how many there are
+PACES = np.array([1.0, 1.5, 2.25], np.float32)  # at which anchors are followed
 WAYS = 3  # that are disturbed at a tick
 RESERVE_S = 0.5  # beyond the time to stop, in which a motion must not collide
 TOUCH = 1e-3  # m, by which a robot in contact may come nearer
@@ -150,13 +151,15 @@ class MppiController:
         along = np.flatnonzero(of[STANDING:] == of[starts[way]])
         anchor = None
         if len(along):
-            anchor = indices[int(along[tried.costs[STANDING + along].argmin()])]
+            best = int(along[tried.costs[STANDING + along].argmin()])
+            anchor = indices[best // len(PACES)]
         return self._command(task, now, motions, k, anchor=anchor)
 
     def _tried(self, task: Task, references: Floats) -> Motions:
         """Roll out the motion in progress, braking, and motions along anchors."""
         steps, share = self.config.steps, self.tick_s / self.config.dt
-        controls = np.empty((STANDING + len(references), steps, 2), np.float32)
+        count = STANDING + len(PACES) * len(references)
+        controls = np.empty((count, steps, 2), np.float32)
         # The motion in progress, a tick later; then the robot keeps its velocity, or brakes.
         at = np.arange(steps) + share
         for i in range(2):
@@ -164,7 +167,7 @@ class MppiController:
                 held = np.append(self._held[:, i], np.float32(end))
                 controls[k, :, i] = np.interp(at, np.arange(steps + 1), held)
         brake(task.limits, task.start, task.dt, controls[BRAKING])
-        follow(task.limits, task.start, references, task.dt, controls[STANDING:])
+        follow(task.limits, task.start, references, PACES, task.dt, controls[STANDING:])
         return Motions.under(task, controls)
 
     def _ways(self, task: Task, tried: Motions) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_control.dynamics import within
 from anchorflow_control.surroundings import Grid, value_at
 from anchorflow_trajectory.compiled import compiled
 
@@ -94,29 +95,40 @@ def ways_along(surcharge: Grid, motions: Floats, ways: Floats) -> None:
             ways[k, s] = way
 
 
-def points_along(motions: Floats, ways: Floats, beyond: Floats, reach: float) -> Floats:
-    """Return [3,P], points of motions [A,S,5] and m left from each to the goal.
+def points_along(
+    motions: Floats, ways: Floats, goal: Floats, *, handicap: Floats, reach: float
+) -> Floats:
+    """Return [3,P], points of motions [A,S,5] and of the straight lines from their ends to a goal.
 
-    ways: [A,S] m; beyond: [A] m, from the end of each to the goal; reach: m of way, up to which
-    points count
+    ways: [A,S] m; goal: [2] m; handicap: [A] m added to each; reach: m of way, up to which points
+    count
     """
-    longest = min(float(ways[:, -1].max()), reach)
+    beyond = np.linalg.norm(goal - motions[:, -1, :2], axis=1)
+    longest = min(float((ways[:, -1] + beyond).max()), reach)
     count = int(min(MAX_POINTS, max(2.0, longest / SPACING)))
     points = np.empty((3, len(motions), count), np.float32)
-    _sample(motions, ways, beyond, np.float32(longest / (count - 1)), points)
+    left = (ways[:, -1] + beyond + handicap).astype(np.float32)
+    _sample(motions, ways, goal, left, np.float32(longest / (count - 1)), points)
     return points.reshape(3, -1)
 
 
 @compiled
 def _sample(
-    motions: Floats, ways: Floats, beyond: Floats, spacing: np.float32, points: Floats
+    motions: Floats, ways: Floats, goal: Floats, left: Floats, spacing: np.float32, points: Floats
 ) -> None:
-    """Write points [3,A,C] at equal lengths of way; those that stand still at the end are one."""
+    """Write points [3,A,C] at equal lengths of way; left: [A] m at the beginning of each."""
     last = motions.shape[1] - 1
     for k in range(len(motions)):
         s = 0
+        end_x, end_y, end = motions[k, last, 0], motions[k, last, 1], ways[k, last]
+        by_x, by_y = goal[0] - end_x, goal[1] - end_y
+        beyond = max(np.sqrt(by_x * by_x + by_y * by_y), np.float32(1e-6))
         for i in range(points.shape[2]):
-            while s < last and ways[k, s] < i * spacing:
+            way = i * spacing
+            while s < last and ways[k, s] < way:
                 s += 1
-            points[0, k, i], points[1, k, i] = motions[k, s, 0], motions[k, s, 1]
-            points[2, k, i] = ways[k, last] - ways[k, s] + beyond[k]
+            share = within((way - end) / beyond, NONE, ONE)
+            done = min(max(ways[k, s], way), end + beyond)
+            points[0, k, i] = motions[k, s, 0] + share * by_x
+            points[1, k, i] = motions[k, s, 1] + share * by_y
+            points[2, k, i] = left[k] - (done if s == last else ways[k, s])

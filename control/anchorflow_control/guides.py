@@ -95,10 +95,13 @@ class Guides:
         clear = rooms.min(1) >= np.minimum(rooms[:, 0], self._config.margin)
         if not clear.any():
             return
-        beyond = np.linalg.norm(task.goal - motions[:, -1, :2], axis=1)
-        beyond += self._config.off_route * off_route
-        reach = BEYOND * float(task.limits.v_max) * self._config.dt * self._config.steps
-        points = points_along(motions[clear], ways[clear], beyond[clear], reach)
+        points = points_along(
+            motions[clear],
+            ways[clear],
+            task.goal,
+            handicap=self._config.off_route * off_route[clear],
+            reach=BEYOND * float(task.limits.v_max) * self._config.dt * self._config.steps,
+        )
         self._left = points, place.copy()
         self._ticks_kept = round(KEPT_S / self._tick_s)
 

@@ -31,7 +31,7 @@ def followed(
     )
     start = np.array([0.0, 0.0, *state[2:]], np.float32)
     controls, states = np.empty((1, STEPS, 2), np.float32), np.empty((1, STEPS, 5), np.float32)
-    follow(limits, start, wanted, np.float32(DT), controls)
+    follow(limits, start, wanted, np.ones(1, np.float32), np.float32(DT), controls)
     drive(limits, start, np.float32(DT), controls, states)
     states[0, :, :2] += place
     wanted[0, :, :2] += place
