@@ -14,9 +14,11 @@ COMMA := ,
 # Installs packages, and compiles numba's loops meanwhile, so that the first start need not. pip's own
 # bytecode would cost ten seconds more; Python makes it for the modules that are imported.
 define install_and_compile
-	$(PIP) install --no-compile numba
-	PYTHONPATH=trajectory $(BIN)/python -m anchorflow_trajectory.warm_up & loops=$$!; \
-	$(PIP) install --no-compile $(1) && wait $$loops
+	@echo "Installing $(1) into $(VENV): $(2) on two cores, once"
+	@$(PIP) install --no-compile numba
+	@PYTHONPATH=trajectory $(BIN)/python -m anchorflow_trajectory.warm_up $(3) & loops=$$!; \
+	echo "Installing what is missing, and compiling meanwhile" && \
+	$(PIP) install --no-compile $(1) && echo "Installed." && wait $$loops
 endef
 
 .DEFAULT_GOAL := help
@@ -26,7 +28,8 @@ help:  ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1, 8000); installs no torch
-	$(BIN)/anchorflow serve --host $(HOST) --port $(PORT)
+	@echo "Loading the bundle"
+	@$(BIN)/anchorflow serve --host $(HOST) --port $(PORT)
 
 toolkit: $(VENV)/.toolkit  ## Add what training and export need (torch, onnx) to .venv
 
@@ -63,23 +66,27 @@ clean:  ## Remove .venv, caches and what was built
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/.created:
-	$(PYTHON) -m venv $(VENV)
+	@echo "Making $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
 	touch $@
 
 $(VENV)/.service: pyproject.toml $(VENV)/.created
-	$(call install_and_compile,--editable '.[service$(COMMA)language]')
+	$(call install_and_compile,--editable '.[service$(COMMA)language]',about a minute,still)
 	touch $@
 
 $(VENV)/.toolkit: pyproject.toml $(VENV)/.created
-	$(PIP) install '$(TORCH)'
-	$(call install_and_compile,--editable '.[service$(COMMA)train$(COMMA)plot]')
+	@echo "Installing $(TORCH)"
+	@$(PIP) install '$(TORCH)'
+	$(call install_and_compile,--editable '.[service$(COMMA)train$(COMMA)plot]',two to three minutes)
 	touch $@
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.created
-	$(PIP) install --editable '.[docs]'
+	@echo "Installing --editable '.[docs]'"
+	@$(PIP) install --editable '.[docs]'
 	touch $@
 
 $(VENV)/.dev: pyproject.toml $(VENV)/.created
-	$(PIP) install '$(TORCH)'
-	$(call install_and_compile,--editable '.[dev]')
+	@echo "Installing $(TORCH)"
+	@$(PIP) install '$(TORCH)'
+	$(call install_and_compile,--editable '.[dev]',two to three minutes)
 	touch $@

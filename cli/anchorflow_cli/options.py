@@ -156,7 +156,10 @@ StartOption = Annotated[
         PLACE, "Start [m], in the map's frame; heading [rad] where the model has one.", COORDINATE
     ),
 ]
-GoalOption = Annotated[Vector, vector_option(PLACE, "Goal [m], likewise.", COORDINATE)]
+GoalOption = Annotated[
+    Vector,
+    vector_option(PLACE, "Goal [m], likewise; with a heading the anchors end in it.", COORDINATE),
+]
 StartVelocityOption = Annotated[
     Vector | None, vector_option(RATE, "Velocity at the start [m/s, rad/s]; default 0.", VELOCITY)
 ]

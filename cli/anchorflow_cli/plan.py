@@ -84,10 +84,21 @@ def plan(
     bundle: BundleOption = None,
 ) -> None:
     """Plan on a ROS map; print a table of the anchors and, with --out, draw them."""
+    if len(start) != len(goal):
+        raise typer.BadParameter(
+            "--start and --goal: expected a heading in both, for a model that plans it, or in none"
+        )
     if url is not None and bundle is not None:
         raise typer.BadParameter("expected --url or --bundle, got both")
     ros_map = load_ros_map(map_file, unknown_is_free=unknown_is_free)
     seen = map_window(ros_map, start[:2], goal[:2], size_m=window, option="--window")
+    if seen.resolution > ros_map.resolution:
+        typer.echo(
+            f"{seen.values.shape[0]} cells of {seen.resolution:g} m a side are planned on: the map "
+            f"has cells of {ros_map.resolution:g} m, too many for one request (a smaller --window "
+            "keeps them)",
+            err=True,
+        )
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     request = AnchorRequest.build(
         cost_map=CostMap.build(layers_of(ros_map, seen, layer), seen.resolution, seen.origin),
@@ -109,6 +120,8 @@ def plan(
     with opened as client:
         anchors = client.plan_request(request)
     Console(markup=False).print(table(anchors))
+    if anchors.reason is not None:
+        typer.echo(anchors.reason)
     if out is not None:
         with needs_extra("plot", who="anchorflow plan --out"):
             from anchorflow_cli.plots import draw_anchors

@@ -6,6 +6,9 @@ with AnchorClient("http://127.0.0.1:8000") as client:
     anchors = client.plan(cost_map=occupancy, resolution=0.1, x_curr=state, x_goal=goal)
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 from anchorflow_client.base_client import (
     BaseAsyncClient as BaseAsyncClient,
     BaseClient as BaseClient,
@@ -60,6 +63,7 @@ from anchorflow_client.errors import (
     TransportError as TransportError,
     Unauthorized as Unauthorized,
     UnknownModel as UnknownModel,
+    UsageError as UsageError,
 )
 from anchorflow_client.http import (
     AnchorClient as AnchorClient,
@@ -81,3 +85,24 @@ from anchorflow_client.retry import (
     AsyncRetryingClient as AsyncRetryingClient,
     RetryingClient as RetryingClient,
 )
+
+if TYPE_CHECKING:
+    from anchorflow_client.zenoh_client import (
+        AsyncZenohAnchorClient as AsyncZenohAnchorClient,
+        ZenohAnchorClient as ZenohAnchorClient,
+    )
+
+
+def __getattr__(name: str) -> Any:
+    """Import the clients over zenoh when they are first named: a base install has no zenoh."""
+    if name not in ("ZenohAnchorClient", "AsyncZenohAnchorClient"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
+        return getattr(import_module("anchorflow_client.zenoh_client"), name)
+    except ModuleNotFoundError as error:
+        if error.name != "zenoh":
+            raise
+        raise ImportError(
+            f"{name} needs zenoh, which is not installed: pip install 'anchorflow[zenoh]', or in a "
+            "checkout pip install -e '.[zenoh]'"
+        ) from error

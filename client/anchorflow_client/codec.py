@@ -111,6 +111,7 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
         "timing_ms": dict(batch.timing_ms),
         "request_id": batch.request_id,
         **absent,
+        **({} if batch.reason is None else {"reason": batch.reason}),
     }
 
 
@@ -160,8 +161,15 @@ def _answer(fields: Mapping[str, Any], arrays: Mapping[str, Any]) -> AnchorBatch
         model=ModelId(*names),
         timing_ms={str(stage): float(ms) for stage, ms in fields["timing_ms"].items()},
         request_id=fields.get("request_id"),
+        reason=_sentence(fields.get("reason")),
         absent_inputs=tuple(name for name in fields.get("absent_inputs", "").split(",") if name),
     )
+
+
+def _sentence(value: Any) -> str | None:
+    if not isinstance(value, str | None):
+        raise TypeError(f"expected a string or null in reason, got {value!r:.200}")
+    return value
 
 
 def _array(name: str, value: Any) -> NDArray[Any]:
@@ -196,7 +204,7 @@ class JsonCodec:
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
         """Write an answer. Raises `ValueError` if a number is not finite."""
-        return Payload(self._dump(answer_fields(batch)))
+        return Payload(self._dump({"reason": None, **answer_fields(batch)}))
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:
         """Read an answer from untrusted bytes. Raises `InvalidAnswer`."""

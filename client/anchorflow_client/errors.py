@@ -16,6 +16,8 @@
     │    ├─ TimedOut              the service did not answer in time
     │    ├─ Cancelled             the caller took the request back
     │    └─ InvalidAnswer         what came is not the contract's
+    ├─ UsageError                 a call that cannot be right; a `ValueError` as well
+    │    └─ AbsentError           what the planner does not give; a `LookupError` as well
     └─ BundleError, ConfigError, …  of other packages, each defined where it is raised
 
 A `RequestError` reads the same on both ends of the wire: the service raises it, `to_dict` writes
@@ -32,6 +34,14 @@ from typing import Any
 
 class AnchorFlowError(Exception):
     """Base of all that AnchorFlow raises on purpose."""
+
+
+class UsageError(AnchorFlowError, ValueError):
+    """An argument of a client, or the state of one of its objects, that allows no request."""
+
+
+class AbsentError(UsageError, LookupError):
+    """The answer lacks what was read of it."""
 
 
 class RequestError(AnchorFlowError):

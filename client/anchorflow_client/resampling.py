@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract.checks import is_number
+from anchorflow_client.errors import UsageError
 
 Array = NDArray[np.float64]
 
@@ -50,12 +51,12 @@ def resample(
         period_s: the controller's.
 
     Raises:
-        ValueError: a shape or a time is wrong.
+        UsageError: a shape or a time is wrong.
     """
     p, v, a = _motion(positions, velocities, accelerations)
     for name, value in (("dt", dt), ("period_s", period_s)):
         if not is_number(value) or not 0.0 < value < np.inf:
-            raise ValueError(f"{name}: expected s above 0, got {value}")
+            raise UsageError(f"{name}: expected s above 0, got {value}")
     times = _times(dt * (len(p) - 1), period_s)
     low = np.minimum((times / dt).astype(int), len(p) - 2)
     u = (times / dt - low)[:, None]
@@ -82,8 +83,8 @@ def _motion(*fields: ArrayLike) -> list[Array]:
     arrays = [np.asarray(field, dtype=np.float64) for field in fields]
     shape = arrays[0].shape
     if len(shape) != 2 or len(arrays[0]) < 2:
-        raise ValueError(f"positions: expected shape [T,D], T at least 2, got {list(shape)}")
+        raise UsageError(f"positions: expected shape [T,D], T at least 2, got {list(shape)}")
     for name, array in zip(("velocities", "accelerations"), arrays[1:], strict=True):
         if array.shape != shape:
-            raise ValueError(f"{name}: expected shape {list(shape)}, got {list(array.shape)}")
+            raise UsageError(f"{name}: expected shape {list(shape)}, got {list(array.shape)}")
     return arrays

@@ -15,6 +15,7 @@ from anchorflow_client.errors import (
     NotReady,
     Overloaded,
     TimedOut,
+    UsageError,
 )
 
 RETRIED = (Overloaded, NotReady, ConnectionFailed, TimedOut)
@@ -27,12 +28,12 @@ logger = logging.getLogger("anchorflow_client.retry")
 
 
 def check_times(most: float = math.inf, /, **times_s: float) -> None:
-    """Raise `ValueError` naming the first argument that is not a number above 0, up to `most`."""
+    """Raise `UsageError` naming the first argument that is not a number above 0, up to `most`."""
     for name, time_s in times_s.items():
         if not is_number(time_s) or not time_s > 0.0:
-            raise ValueError(f"{name}: expected a number above 0, got {time_s}")
+            raise UsageError(f"{name}: expected a number above 0, got {time_s}")
         if time_s > most:
-            raise ValueError(f"{name}: expected at most {most:g} s, got {time_s}")
+            raise UsageError(f"{name}: expected at most {most:g} s, got {time_s}")
 
 
 class Attempts:

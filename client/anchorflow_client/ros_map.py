@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
@@ -32,6 +32,7 @@ from anchorflow_client.contract.fields import (
     MIN_MAP_CELLS,
     RESOLUTION,
 )
+from anchorflow_client.contract.hints import place_hint
 from anchorflow_client.contract.ros_grid import LETHAL_PERCENT, MAX_YAW, UNKNOWN, RosGrid
 from anchorflow_client.errors import AnchorFlowError
 
@@ -43,6 +44,9 @@ class RosMapError(AnchorFlowError):
 class WindowError(AnchorFlowError):
     """No window of the map can hold start and goal."""
 
+
+ROUNDING = 1e-9
+"""Cells; 6.4 m in cells of 0.05 m are 128."""
 
 MARGIN_M = 3.0
 """Room for a detour beyond start and goal, on each side."""
@@ -75,6 +79,27 @@ class RosMap(RosGrid):
     def unknown(self) -> NDArray[np.bool_]:
         """[H, W]; their occupancy is `unknown_occupancy`."""
         return self.values[:, :] < 0
+
+    @property
+    def extent(self) -> NDArray[np.float64]:
+        """[2,2] m: the lower and the upper corner (x, y)."""
+        height, width = self.values.shape
+        return np.stack([self.origin, self.origin + self.resolution * np.array([width, height])])
+
+    def coarser(self, factor: int) -> RosMap:
+        """Return the map with cells `factor` times as wide, each the dearest of those it covers.
+
+        H and W must be multiples of the factor. An obstacle is dearer than unknown space, which is
+        dearer than all else if it counts as occupied, and cheaper otherwise.
+        """
+        (height, width), step = self.values.shape, int(factor)
+        values = self.values[:, :].astype(np.int16)
+        unknown = LETHAL_PERCENT - 1 if self.unknown_occupancy else -1
+        values = np.where(values == LETHAL_PERCENT, LETHAL_PERCENT, np.minimum(values, unknown - 1))
+        values[self.unknown] = unknown
+        blocks = values.reshape(height // step, step, width // step, step).max(axis=(1, 3))
+        blocks[blocks == unknown] = -1
+        return replace(self, values=blocks.astype(np.int8), resolution=step * self.resolution)
 
 
 def load_ros_map(path: Path | str, *, unknown_is_free: bool = False) -> RosMap:
@@ -116,11 +141,17 @@ def map_window(
 ) -> RosMap:
     """Cut a square window centred between `start` and `goal` ([2] m each).
 
+    A window of more cells than a request may have gets wider cells; see `RosMap.coarser`.
+
     size_m: its side; by default the distance with MARGIN_M at both ends
     option: name of `size_m` in error messages
 
-    Raises `WindowError` if the window would miss an end, or have more cells than a request allows.
+    Raises `WindowError` if the window would miss an end, or an end is off a map beyond which all
+    counts as occupied.
     """
+    if ros_map.unknown_occupancy:
+        for name, place in (("start", start), ("goal", goal)):
+            _check_on_map(ros_map, name, place)
     extent_m = float(np.abs(goal - start).max())
     if size_m is None:
         size_m = float(np.linalg.norm(goal - start)) + 2 * MARGIN_M
@@ -129,18 +160,30 @@ def map_window(
             f"{option}: expected more than {extent_m:g} m, to hold start and goal, got {size_m:g}"
         )
     size_m = max(size_m, MIN_MAP_CELLS * ros_map.resolution)
-    limit_m = MAX_MAP_CELLS * ros_map.resolution
-    if size_m > limit_m:
+    factor = math.ceil(size_m / (MAX_MAP_CELLS * ros_map.resolution) - ROUNDING)
+    if factor <= 1:
+        return ros_map.crop((start + goal) / 2, size_m)
+    cell = factor * ros_map.resolution
+    return ros_map.crop((start + goal) / 2, math.ceil(size_m / cell - ROUNDING) * cell).coarser(
+        factor
+    )
+
+
+def _check_on_map(ros_map: RosMap, name: str, place: NDArray[np.float64]) -> None:
+    low, high = ros_map.extent
+    if not ((low <= place) & (place <= high)).all():
+        (x_low, y_low), (x_high, y_high) = low, high
+        hint = place_hint(*place.tolist(), low=low, high=high, resolution=ros_map.resolution)
         raise WindowError(
-            f"expected a window of at most {limit_m:g} m ({MAX_MAP_CELLS} cells of "
-            f"{ros_map.resolution:g} m), got {size_m:g} m; bring start and goal nearer together "
-            f"or choose a smaller {option}"
+            f"{name}: expected a place on the map (x from {x_low:g} to {x_high:g} m and y from "
+            f"{y_low:g} to {y_high:g} m), got ({place[0]:g}, {place[1]:g}) m{hint}"
         )
-    return ros_map.crop((start + goal) / 2, size_m)
 
 
 def read_layer(path: Path | str, ros_map: RosMap, window: RosMap, *, neutral: float) -> Grey:
     """Read a picture of a further channel in a window of its map: [H, W] in [0, 1], white is 1.
+
+    Wider cells get the mean of those that they cover.
 
     neutral: of cells beyond the map
 
@@ -158,9 +201,11 @@ def read_layer(path: Path | str, ros_map: RosMap, window: RosMap, *, neutral: fl
             f"got {grey.shape[1]} x {grey.shape[0]}"
         )
     left, bottom = np.rint((window.origin - ros_map.origin) / ros_map.resolution).astype(int)
-    rows, columns = np.indices(window.values.shape) + np.array([[[bottom]], [[left]]])
+    (height, width), step = window.values.shape, round(window.resolution / ros_map.resolution)
+    rows, columns = np.indices((step * height, step * width)) + np.array([[[bottom]], [[left]]])
     known = (rows >= 0) & (rows < size[0]) & (columns >= 0) & (columns < size[1])
-    return np.where(known, grey[rows.clip(0, size[0] - 1), columns.clip(0, size[1] - 1)], neutral)
+    seen = np.where(known, grey[rows.clip(0, size[0] - 1), columns.clip(0, size[1] - 1)], neutral)
+    return seen.reshape(height, step, width, step).mean(axis=(1, 3))
 
 
 @dataclass(frozen=True)

@@ -250,3 +250,11 @@ def test_of_several_scenes_there_is_no_one_route() -> None:
     several = made_batch(np.zeros((1, 3, 4, 2)))
     with pytest.raises(ValueError, match="best_along: expected the answer of one scene"):
         several.best_along([[0.0, 0.0], [1.0, 0.0]])
+
+
+def test_it_is_shown_by_the_figures_that_matter() -> None:
+    anchors = batch(routes=[0, 1, 0], timing_ms={"total": 12.4})
+    shown = "3 anchors of 4 steps, 2 safe, 2 routes, 0.3 s, planned in 12 ms; lines 1, seed 7"
+    assert repr(anchors) == f"<AnchorBatch: {shown}>"
+    twice = {name: [[0.0] * 3] * 2 for name in ("scores", "clearance", "safe")}
+    assert "2 scenes of 3 anchors" in repr(batch(np.zeros((2, 3, 4, 2)), **twice))

@@ -275,6 +275,16 @@ def test_an_answer_with_another_dt_is_invalid(dt: Any) -> None:
         JSON.decode_answer(answer_in_json(dt=dt))
 
 
+@pytest.mark.parametrize("reason", [None, "none of 2 anchors is safe: the start …"])
+def test_the_reason_is_a_sentence_or_null(reason: str | None) -> None:
+    batch = made_batch(np.zeros((2, 2, 2)), reason=reason)
+    assert json.loads(JSON.encode_answer(batch).body)["reason"] == reason
+    for codec in (JSON, OipCodec()):
+        assert codec.decode_answer(codec.encode_answer(batch)).reason == reason
+    with pytest.raises(InvalidAnswer, match="expected a string or null in reason, got 3"):
+        JSON.decode_answer(answer_in_json(reason=3))
+
+
 def test_routes_are_whole_numbers() -> None:
     assert JSON.decode_answer(answer_in_json(routes=[3, 0])).arrays["routes"].dtype == np.int64
     with pytest.raises(InvalidAnswer, match="expected whole numbers in routes"):

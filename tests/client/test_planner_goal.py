@@ -299,17 +299,3 @@ def test_the_requests_own_margin_is_sent_as_it_is() -> None:
     stage = Stage(PlannerConfig(margin_m=0.05))
     assert beside_a_wall(stage, 0.02, refine={"certified_margin": 0.1}) == 0.1
     assert beside_a_wall(Stage(PlannerConfig()), 0.02) is None
-
-
-def test_the_reason_names_a_start_that_is_too_near() -> None:
-    stage = Stage(PlannerConfig(margin_m=0.05))
-    stage.reply = nothing_safe
-    beside_a_wall(stage, 0.02)
-    plan = stage.planner.wait(0.0)
-    assert plan.reason is not None
-    assert "the start keeps 0.020 m of the 0.050 m that are asked for and 0.030 m" in plan.reason
-
-    beside_a_wall(stage, 0.3)
-    plan = stage.planner.wait(0.0)
-    assert plan.reason is not None
-    assert "start" not in plan.reason

@@ -177,12 +177,8 @@ def test_a_slow_robot_that_drives_is_not_stuck() -> None:
         assert (stage.planner.counts["stuck"] > 0) == is_stuck
 
 
-def test_the_reason_says_how_much_room_there_is() -> None:
+def test_a_service_that_gives_no_reason_is_spoken_for() -> None:
     batch = batch_of([1.5, -1.5], scores=[-1, -1], safe=[False, False])
-    bare = {name: array for name, array in batch.arrays.items() if name != "clearance"}
-    assert why_unsafe(replace(batch, arrays=bare), 0.05) == "none of 2 anchors is safe"
-    clearance = np.array([0.0284, -0.2], np.float32)
-    told = why_unsafe(replace(batch, arrays={**batch.arrays, "clearance": clearance}), 0.03)
-    assert told is not None
-    assert "keeps 0.028 m of the 0.030 m" in told
-    assert why_unsafe(batch_of([1.5], scores=[-1]), 0.05) is None
+    assert why_unsafe(batch) == "none of 2 anchors is safe"
+    assert why_unsafe(replace(batch, reason="a wall")) == "a wall"
+    assert why_unsafe(batch_of([1.5], scores=[-1])) is None

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from anchorflow_trajectory.compiled import HERE, kept, stamp
+from anchorflow_trajectory.compiled import HERE, code_folder, stamp
 from anchorflow_trajectory.ode.integrate import drawn
 
 CALLER = "@compiled\ndef caller():\n    return callee()\n"
-CALLEE = "@compiled\ndef callee():\n    return {}\n"
+CALLEE = "@compiled_part\ndef callee():\n    return {}\n"
 
 
 def test_a_change_in_any_compiled_function_changes_the_stamp(tmp_path: Path) -> None:
@@ -26,4 +26,4 @@ def test_a_change_in_any_compiled_function_changes_the_stamp(tmp_path: Path) -> 
 def test_machine_code_is_kept_under_the_stamp() -> None:
     dispatcher: Any = drawn
     assert f"loops-{stamp(HERE.parent)}" in Path(dispatcher.stats.cache_path).parts
-    assert kept()
+    assert code_folder() in Path(dispatcher.stats.cache_path).parents

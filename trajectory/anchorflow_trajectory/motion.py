@@ -134,7 +134,7 @@ def _driven(
     for k in range(num_samples):
         at = driven[k] / driven[-1] * marks[-1]
         if at >= marks[-1]:
-            positions[k] = path[-1].astype(np.float32)
+            positions[k, 0], positions[k, 1] = path[-1, 0], path[-1, 1]
             continue
         leg = np.searchsorted(marks, at, "right")
         share = (at - marks[leg - 1]) / (marks[leg] - marks[leg - 1])

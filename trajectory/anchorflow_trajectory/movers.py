@@ -7,7 +7,6 @@ as in its last leg; one at constant velocity has a single leg.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.caching import cached_property
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 
 SMALL_BULGE = 0.01  # m from the chord of two samples, beyond which a leg is cut
 MOST_PIECES = 64  # of a leg
@@ -71,7 +70,10 @@ class MovingDiscs:
 
 
 class Discs(NamedTuple):
-    """Moving discs as compiled loops read them, numbers of one type; see `MovingDiscs`."""
+    """Moving discs as compiled loops read them, numbers of one type; see `MovingDiscs`.
+
+    Where nothing moves, loops get None: they are compiled for that type too, without the discs.
+    """
 
     places: FloatArray
     radius: FloatArray
@@ -79,20 +81,13 @@ class Discs(NamedTuple):
     growth: np.floating
 
     @staticmethod
-    def of(movers: MovingDiscs | None, dtype: DTypeLike) -> Discs:
-        """Return the discs in numbers of a dtype, cached; none for None."""
-        if movers is None:
-            return _nothing(np.dtype(dtype))
+    def of(movers: MovingDiscs, dtype: DTypeLike) -> Discs:
+        """Return the discs in numbers of a dtype, cached."""
         if (made := movers.made.get(dtype)) is None:
             places = np.ascontiguousarray(movers.places, dtype)
             numbers = np.array([movers.step_s, movers.growth], dtype)
             made = movers.made[dtype] = Discs(places, movers.radius.astype(dtype), *numbers)
         return made
-
-
-@cache
-def _nothing(dtype: np.dtype) -> Discs:
-    return Discs(np.zeros((0, 2, 2), dtype), np.zeros(0, dtype), *np.array([1.0, 0.0], dtype))
 
 
 @compiled
@@ -106,15 +101,17 @@ def place_at(discs: Discs, j: int, time: float) -> tuple[float, float]:
     return x, y
 
 
-@compiled
+@compiled_part
 def moving_clearance(
-    discs: Discs, path: FloatArray, duration: float, enough: float, most: float
+    discs: Discs | None, path: FloatArray, duration: float, enough: float, most: float
 ) -> float:
     """Return a lower bound of the least clearance [m] to discs along samples [T, 2] and between.
 
     It stops below `enough`, and returns no more than `most`. Between two samples the motion stays
     within a bulge of its chord, which is followed in continuous time.
     """
+    if discs is None:
+        return most
     steps, least, legs = len(path), most, discs.places.shape[1] - 1
     stride, bulge = duration / (steps - 1), np.empty(steps)
     for t in range(1, steps):
@@ -142,7 +139,7 @@ def moving_clearance(
     return least
 
 
-@compiled
+@compiled_part
 def _bulge(path: FloatArray, t: int) -> float:
     """Return m by which the motion from sample t - 1 to t may leave its chord."""
     steps = len(path)
@@ -155,7 +152,7 @@ def _bulge(path: FloatArray, t: int) -> float:
     return BENT * np.sqrt(bent) / 8
 
 
-@compiled
+@compiled_part
 def _bent_clearance(
     discs: Discs, j: int, path: FloatArray, t: int, stride: float, bulge: float
 ) -> float:
@@ -183,7 +180,7 @@ def _bent_clearance(
     return least
 
 
-@compiled
+@compiled_part
 def _unevenness(path: FloatArray, t: int) -> float:
     """Return the greatest second difference [m] of second differences about leg t."""
     most = 0.0
@@ -198,7 +195,7 @@ def _unevenness(path: FloatArray, t: int) -> float:
     return np.sqrt(most)
 
 
-@compiled
+@compiled_part
 def _chord_clearance(
     discs: Discs,
     j: int,
@@ -225,7 +222,7 @@ def _chord_clearance(
     return least
 
 
-@compiled
+@compiled_part
 def _least_length(x: float, y: float, to_x: float, to_y: float) -> float:
     """Return the least distance of the origin to a straight line between two points."""
     along_x, along_y = to_x - x, to_y - y

@@ -1,30 +1,58 @@
-"""Everything that is compiled, run once: a process that serves keeps nobody waiting for it.
+"""Run everything that is compiled once, so that a process that serves keeps nobody waiting for it.
 
-    python -m anchorflow_trajectory.warm_up
+    python -m anchorflow_trajectory.warm_up [--niced] [STAGE ...]
 
-compiles what a later process then finds on disk.
+compiles what a later process then finds on disk, in two processes at a time where there are two
+cores: all of it, or the stages that are named. `still` is what a scene needs in which nothing
+moves, `moving` the rest. The loops of a stage are compiled for types of their own, so that a
+service may answer after the first.
 """
 
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
+from hashlib import sha256
+from pathlib import Path
 
+import llvmlite.binding as llvm
+import numba
 import numpy as np
 
-from anchorflow_trajectory.compiled import kept
+from anchorflow_trajectory.compiled import code_folder
+from anchorflow_trajectory.cost.clearance import GridField
+from anchorflow_trajectory.cost.fields import CostFields
+from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.finish.bisection import bisect_to_safe
 from anchorflow_trajectory.finish.certificate import are_safe
+from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.ode.integrate import drawn
 from anchorflow_trajectory.routes.reachable import connected
 from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.threads import usable_cores
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
 
 logger = logging.getLogger(__name__)
 
+MODULE = "anchorflow_trajectory.warm_up"
+STILL, MOVING = STAGES = ("still", "moving")
+USUAL_S = {STILL: 40, MOVING: 40}  # on two cores
+DESCENT, NICED = "--descent", "--niced"
+NICENESS = 10
 CELLS, RESOLUTION = 32, 0.2  # of a map of 6.4 m
 POST = slice(14, 18)
 
@@ -40,17 +68,83 @@ class _Everything:
     certified_margin: float = 0.0
 
 
-@cache
-def compile_loops() -> None:
-    """Run them on a small scene: its routes, its finish, and a bisection.
+def compile_loops(*stages: str) -> None:
+    """Run the loops of these stages, of all by default, on a small scene.
 
-    A second or less where they are found on disk, else up to two minutes of processor time.
+    A second or less where they are found on disk, else up to a minute and a half.
     """
-    if not kept():
-        logger.warning("compiling loops for this processor, once: up to two minutes")
+    for stage in stages or STAGES:
+        _compile(stage)
+
+
+def compiler(stage: str) -> subprocess.Popen[bytes]:
+    """Start a niced process that compiles a stage and what it needs."""
+    return subprocess.Popen([sys.executable, "-m", MODULE, NICED, stage])
+
+
+def is_kept(stage: str) -> bool:
+    """Return whether the machine code of a stage is on disk, for this processor."""
+    folder = code_folder()
+    return folder is not None and _mark(folder, stage).exists()
+
+
+@cache
+def _compile(stage: str) -> None:
+    with _alone():
+        begin, before = time.monotonic(), is_kept(stage)
+        scene = _scene(stage)
+        if not before:
+            logger.warning(
+                "compiling loops for this processor, once (%s): about %d s on two cores",
+                "moving obstacles" if stage == MOVING else "routes and finish",
+                USUAL_S[stage],
+            )
+            beside = _descent_beside(stage)
+            _run_routes(scene)
+            if beside is not None:
+                beside.wait()
+        _run_descent(scene)
+        _run_finish(scene)
+        if not before:
+            logger.warning("compiled in %.0f s", time.monotonic() - begin)
+            if (folder := code_folder()) is not None:
+                with suppress(OSError):
+                    _mark(folder, stage).touch()
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Let one process compile at a time: numba's files are not made for two."""
+    folder = code_folder()
+    with ExitStack() as stack:
+        if folder is not None and fcntl is not None:
+            with suppress(OSError):  # of a folder that may only be read
+                lock = stack.enter_context((folder / "lock").open("w"))
+                fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _mark(folder: Path, stage: str) -> Path:
+    """Return the file that says that a stage was compiled for this processor by this numba."""
+    machine = numba.__version__, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    return folder / f"{stage}-{sha256(repr(machine).encode()).hexdigest()[:12]}"
+
+
+def _descent_beside(stage: str) -> subprocess.Popen[bytes] | None:
+    """Start a process that compiles the descent; None if there is no use in it."""
+    if code_folder() is None or usable_cores() < 2:
+        return None
+    try:
+        return subprocess.Popen([sys.executable, "-m", MODULE, DESCENT, stage])
+    except OSError:  # the descent is compiled here then
+        return None
+
+
+def _scene(stage: str) -> Scene:
     cost_map = np.zeros((3, CELLS, CELLS), np.float32)
     cost_map[0, POST, POST], cost_map[1], cost_map[2, :4] = 1.0, 1.0, 0.5
-    scene = Scene(
+    crossing = MovingDiscs.of(np.array([[3.0, 5.0]]), np.array([[0.0, -1.0]]), np.array([0.3]))
+    return Scene(
         cost_map=cost_map,
         resolution=RESOLUTION,
         origin=np.zeros(2),
@@ -59,24 +153,51 @@ def compile_loops() -> None:
         x_goal=np.array([5.6, 3.2, 0.0, 0.0]),
         w_style=np.array([0.4, 0.3, 0.3]),
         motion=MotionLimits(v_max=2.0, a_max=3.0),
+        movers=crossing if stage == MOVING else None,
     )
+
+
+def _run_routes(scene: Scene) -> None:
     drawn(np.zeros((1, 1), np.float32), np.zeros((1, 1), np.float32))
     connected(scene.occupied, 0)
-    routes = scene.route_splines
-    Refiner(scene, steps=1).refine(scene.route_states, np.arange(len(routes)), _Everything())
-    crossing = MovingDiscs.of(np.array([[3.0, 5.0]]), np.array([[0.0, -1.0]]), np.array([0.3]))
-    busy = replace(scene, movers=crossing).among_movers()
-    ways = busy.ways.route
-    Refiner(busy, steps=1).refine(busy.route_states, np.arange(len(ways)), _Everything())
-    pair = routes[np.zeros(2, np.intp)]
-    safe, route, clearance = (
-        np.array([True, False]),
-        np.zeros(2, np.intp),
-        scene.cost_fields.clearance,
-    )
-    bisect_to_safe(pair, safe, scene.ends, scene.basis, clearance, scene.motion, route=route)
-    are_safe(pair, scene.basis, clearance, scene.motion)
+    _ = scene.route_splines
+
+
+def _run_descent(scene: Scene) -> None:
+    """Run the descent and the verdict, along straight lines over even ground."""
+    field = GridField(np.ones((CELLS, CELLS), np.float32), scene.resolution, scene.origin)
+    fields, basis, ends = CostFields(field, None, scene.movers), scene.basis, scene.ends
+    cost = TrajectoryCost(basis, fields, scene.motion, scene.effective_style, 1.0, 0.05)
+    splines = basis.rest_curves(ends, np.ones(2))
+    optimised, _ = OptimisationPass(1, 0.1, shares=(1.0,)).run(cost, splines, ends)
+    safe, route = np.array([True, False]), np.zeros(2, np.intp)
+    among = {"movers": scene.movers}
+    bisect_to_safe(optimised, safe, ends, basis, field, scene.motion, route=route, **among)
+    are_safe(optimised, basis, field, scene.motion, **among)
+    cost.value(optimised)
+
+
+def _run_finish(scene: Scene) -> None:
+    """Run everything else, and all of it together."""
+    if scene.movers is not None:
+        scene = scene.among_movers()
+    states = scene.route_states
+    Refiner(scene, steps=1).refine(states, np.arange(len(states)), _Everything())
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Run the program."""
+    logging.basicConfig(format="%(message)s")
+    if NICED in arguments and hasattr(os, "nice"):
+        os.nice(NICENESS)
+    stages = [each for each in arguments if not each.startswith("--")]
+    if unknown := set(stages) - set(STAGES):
+        raise SystemExit(f"warm_up: expected stages of {', '.join(STAGES)}, got {unknown.pop()}")
+    if DESCENT in arguments:
+        _run_descent(_scene(stages[0]))
+    else:
+        compile_loops(*stages)
 
 
 if __name__ == "__main__":
-    compile_loops()
+    main(sys.argv[1:])

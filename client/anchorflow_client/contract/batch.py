@@ -21,7 +21,7 @@ from anchorflow_client.contract.checks import (
     number,
     read_only,
 )
-from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.errors import AbsentError, InvalidRequest, UsageError
 
 ARRAY_DTYPES: dict[str, type[np.generic]] = {
     "trajectories": np.float32,
@@ -61,6 +61,9 @@ class AnchorBatch:
     timing_ms: Mapping[str, float]
     """queue, encode, sample, refine, total."""
     request_id: str | None = None
+    reason: str | None = None
+    """Why no anchor is safe, in one sentence; None if one is. With a B axis, that of each scene
+    without a safe anchor, by its number."""
     absent_inputs: tuple[str, ...] = ()
     """Optional inputs of the card that the request left out."""
 
@@ -77,6 +80,21 @@ class AnchorBatch:
         object.__setattr__(self, "arrays", MappingProxyType(arrays))
         object.__setattr__(self, "dt", _time_step(self.dt))
         self._check_shapes()
+
+    def __repr__(self) -> str:
+        *_, anchors, steps, _ = self.trajectories.shape
+        scenes = f"{len(self.trajectories)} scenes of " if self.batched else ""
+        figures = [f"{scenes}{anchors} anchors of {steps} steps"]
+        if (safe := self.arrays.get("safe")) is not None:
+            figures.append(f"{safe.sum()} safe")
+        if (routes := self.routes) is not None:
+            figures.append(f"{routes.max(initial=-1) + 1} routes")
+        ends = self.durations.min(), self.durations.max()
+        figures.append(f"{' to '.join(dict.fromkeys(f'{each:.1f}' for each in ends))} s")
+        if (total := self.timing_ms.get("total")) is not None:
+            figures.append(f"planned in {total:.0f} ms")
+        names = f"{self.model.name} {self.model.version}, seed {self.seed}"
+        return f"<AnchorBatch: {', '.join(figures)}; {names}>"
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "arrays": dict(self.arrays)}
@@ -115,7 +133,7 @@ class AnchorBatch:
 
     @property
     def velocities(self) -> NDArray[np.float32]:
-        """[N,T,D] m/s. This and the next four raise `LookupError` if the planner gives none."""
+        """[N,T,D] m/s. This and the next four raise `AbsentError` if the planner gives none."""
         return self._given("velocities")
 
     @property
@@ -156,7 +174,7 @@ class AnchorBatch:
     def _given(self, name: str) -> NDArray[Any]:
         if name not in self.arrays:
             given = ", ".join(self.arrays)
-            raise LookupError(f"{name}: {self.model.name} gives none; it gives {given}")
+            raise AbsentError(f"{name}: {self.model.name} gives none; it gives {given}")
         return self.arrays[name]
 
     @property
@@ -185,7 +203,7 @@ class AnchorBatch:
 
         Raises:
             InvalidRequest: names `k` if it is no whole number from 1.
-            LookupError: per_route, and the planner gives no `routes`.
+            AbsentError: per_route, and the planner gives no `routes`.
         """
         k = integer(k, "k", COUNT)
         shape = self.trajectories.shape[:-2]
@@ -213,10 +231,10 @@ class AnchorBatch:
         Raises:
             InvalidRequest: names `route` if it is not two or more finite points, or `within` if
                 that is negative or not finite.
-            ValueError: the answer is of several scenes.
+            UsageError: the answer is of several scenes.
         """
         if self.batched:
-            raise ValueError("best_along: expected the answer of one scene, got a B axis")
+            raise UsageError("best_along: expected the answer of one scene, got a B axis")
         within = number(within, "within", WITHIN)
         strays = beside_route(self.trajectories[:, -1, :2], route)
         ways = self.trajectories[..., :2]

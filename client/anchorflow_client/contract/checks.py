@@ -13,7 +13,7 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import chain
@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from anchorflow_client.contract.hints import states_hint, unit_hint
 from anchorflow_client.errors import InvalidRequest
 
 MAX_TEXT_LENGTH = 128
@@ -145,7 +146,8 @@ def as_array(value: Any, field: str, dtype: DTypeLike | None = None) -> NDArray[
 def number(value: Any, field: str, interval: Interval) -> float:
     """Return a finite number inside `interval`."""
     if not is_number(value) or not interval.holds(value):
-        raise expected(field, f"a number {interval}", value)
+        hint = unit_hint(value, interval.low, interval.high, interval.unit)
+        raise InvalidRequest(f"expected a number {interval}, got {describe(value)}{hint}", field)
     return float(value)
 
 
@@ -213,7 +215,14 @@ def _did_you_mean(name: str, known: Collection[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else "; known are " + ", ".join(known)
 
 
-def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[np.float64]:
+def numbers(
+    value: Any,
+    field: str,
+    interval: Interval,
+    shape: str,
+    *,
+    hint: Callable[[NDArray[Any]], str] = lambda _: "",
+) -> NDArray[np.float64]:
     """Return a new float64 array of finite numbers inside `interval`.
 
     Args:
@@ -221,6 +230,7 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
         field: JSON path for the message.
         interval: the range of each number.
         shape: the shapes that the caller accepts, for the message.
+        hint: returns the end of the message about a number outside the interval.
 
     Raises:
         InvalidRequest: ragged, too deep, not numbers, not finite or out of range.
@@ -231,7 +241,7 @@ def numbers(value: Any, field: str, interval: Interval, shape: str) -> NDArray[n
         array = _from_array(value, field, shape)
     else:
         array = _from_lists(value, field, shape)
-    return within(array, field, interval)
+    return within(array, field, interval, hint=hint)
 
 
 def array_of_bytes(value: Mapping[str, Any], field: str) -> NDArray[Any]:
@@ -267,10 +277,18 @@ def bytes_of_base64(value: Any, field: str) -> bytes:
         raise InvalidRequest(f"expected base64, got {error}", field) from error
 
 
-def within(array: Array, field: str, interval: Interval, *, part: slice | None = None) -> Array:
+def within(
+    array: Array,
+    field: str,
+    interval: Interval,
+    *,
+    part: slice | None = None,
+    hint: Callable[[NDArray[Any]], str] = lambda _: "",
+) -> Array:
     """Return the array. Raises `InvalidRequest` for the first number outside the interval.
 
     part: the columns to check; None for all
+    hint: returns the end of the message
     """
     held = array if part is None else array[..., part]
     if interval.holds_all(held):
@@ -279,16 +297,19 @@ def within(array: Array, field: str, interval: Interval, *, part: slice | None =
     outside[... if part is None else (..., part)] = ~interval.contains(held)
     is_finite = np.isfinite(array[outside][0])
     what = f"numbers {interval}" if is_finite else "finite numbers"
-    raise first_refused(array, outside, field, what)
+    raise first_refused(array, outside, field, what, hint(array))
 
 
 def first_refused(
-    array: NDArray[Any], refused: NDArray[np.bool_], field: str, what: str
+    array: NDArray[Any], refused: NDArray[np.bool_], field: str, what: str, hint: str = ""
 ) -> InvalidRequest:
-    """Return the error for the first of an array's numbers that is `refused`."""
+    """Return the error for the first of an array's numbers that is `refused`.
+
+    hint: the end of the message
+    """
     index = int(refused.argmax())
     came = f"{describe(array.flat[index])} at {field}{_place(index, array.shape)}"
-    return InvalidRequest(f"expected {what}, got {came}", field)
+    return InvalidRequest(f"expected {what}, got {came}{hint}", field)
 
 
 def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[np.float64]:
@@ -296,7 +317,8 @@ def vectors(value: Any, field: str, interval: Interval, *sizes: int) -> NDArray[
     shape = ", ".join(map(vector_shape, sizes))
     array = numbers(value, field, interval, shape)
     if array.ndim not in (1, 2) or array.shape[-1] not in sizes:
-        raise wrong_shape(field, shape, array)
+        size = array.shape[-1] if array.ndim else 0
+        raise wrong_shape(field, shape, array, states_hint(field, size))
     return array
 
 
@@ -305,9 +327,9 @@ def vector_shape(size: int) -> str:
     return f"[{size}] or [B,{size}]"
 
 
-def wrong_shape(field: str, shape: str, array: NDArray[Any]) -> InvalidRequest:
-    """Return the error for an array of a wrong shape."""
-    return InvalidRequest(f"expected shape {shape}, got {list(array.shape)}", field)
+def wrong_shape(field: str, shape: str, array: NDArray[Any], hint: str = "") -> InvalidRequest:
+    """Return the error for an array of a wrong shape; hint: the end of the message."""
+    return InvalidRequest(f"expected shape {shape}, got {list(array.shape)}{hint}", field)
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -29,6 +29,7 @@ from anchorflow_client.contract.fields import (
     RESOLUTION,
     UNIT,
 )
+from anchorflow_client.contract.hints import map_hint, map_shape_hint
 from anchorflow_client.contract.ros_grid import RosGrid, Unknown, values_of
 from anchorflow_client.errors import InvalidRequest
 
@@ -205,14 +206,15 @@ def _grid(data: Any) -> NDArray[np.float32]:
         data = frozen(data.astype(np.float32))
     if isinstance(data, np.ndarray) and data.dtype == np.float32:
         # Views of the request's bytes are kept without a copy, as they are read-only.
-        grid = within(unshared(data), field, UNIT)
+        grid = within(unshared(data), field, UNIT, hint=map_hint)
     else:
-        grid = frozen(numbers(data, field, UNIT, MAP_SHAPE).astype(np.float32))
+        grid = frozen(numbers(data, field, UNIT, MAP_SHAPE, hint=map_hint).astype(np.float32))
+    hint = map_shape_hint(grid.shape)
     if grid.ndim not in (3, 4):
-        raise wrong_shape(field, MAP_SHAPE, grid)
+        raise wrong_shape(field, MAP_SHAPE, grid, hint)
     channels, *sides = grid.shape[-3:]
     if not 1 <= channels <= MAX_CHANNELS:
-        raise InvalidRequest(f"expected C from 1 to {MAX_CHANNELS}, got {channels}", field)
+        raise InvalidRequest(f"expected C from 1 to {MAX_CHANNELS}, got {channels}{hint}", field)
     if not all(MIN_MAP_CELLS <= side <= MAX_MAP_CELLS for side in sides):
         limits = f"from {MIN_MAP_CELLS} to {MAX_MAP_CELLS}"
         raise InvalidRequest(f"expected H and W {limits}, got {sides[0]} and {sides[1]}", field)

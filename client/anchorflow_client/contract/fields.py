@@ -66,6 +66,8 @@ NUM_STYLE = 3
 """Weights of `w_style`: safety, energy, smooth."""
 DEFAULT_NUM_SAMPLES = 64
 DEFAULT_TAU = 0.8
+DEFAULT_MODEL = "default"
+"""A name for the model that a request without a name gets."""
 DEFAULT_COST_PENALTY = 3.0
 METHODS = ("rk4", "heun", "midpoint", "euler", "ab2")
 """ab2 is the method of Adams and Bashforth of order 2."""
@@ -370,7 +372,12 @@ class PlanOptions(TypedDict, total=False):
         Obstacles | Mapping[str, Any] | None,
         OBSTACLES,
     ]
-    model: Annotated[str | None, Text("Name of a model; by default the service's first.")]
+    model: Annotated[
+        str | None,
+        Text(
+            f"Name of a model; by default, and by the name {DEFAULT_MODEL!r}, the service's first."
+        ),
+    ]
     seed: Annotated[
         int | None,
         Number("Seed of the noise; drawn by default, and echoed.", SEED, whole=True),

@@ -21,6 +21,7 @@ from anchorflow_client.contract.checks import (
 )
 from anchorflow_client.contract.cost_map import CostMap
 from anchorflow_client.contract.fields import (
+    DEFAULT_MODEL,
     DEFAULT_STYLE,
     DIMENSIONS,
     GOAL_FIELDS,
@@ -37,6 +38,7 @@ from anchorflow_client.contract.fields import (
     SamplerChoice,
     WarmStart,
 )
+from anchorflow_client.contract.hints import place_hint, resolution_hint
 from anchorflow_client.contract.inputs import Inputs, read_inputs
 from anchorflow_client.contract.obstacles import Obstacles
 from anchorflow_client.contract.ranges import STATE, STYLE_WEIGHT
@@ -263,16 +265,18 @@ def _check_places(request: AnchorRequest) -> None:
         for scene, (x, y) in enumerate(points.tolist()):
             position = f"({x:g}, {y:g}) m of scene {scene}"
             if not cost_map.contains(x, y):
-                (x_low, y_low), (x_high, y_high) = cost_map.extent
+                (x_low, y_low), (x_high, y_high) = low, high = cost_map.extent
                 extent = f"x from {x_low:g} to {x_high:g} m and y from {y_low:g} to {y_high:g} m"
                 message = f"expected a position on the map ({extent}), got {position}"
-                raise InvalidRequest(message, name)
+                hint = place_hint(x, y, low=low, high=high, resolution=cost_map.resolution)
+                raise InvalidRequest(message + hint, name)
             row, column = cost_map.cell_of(x, y)
             if (came := occupancy[scene, row, column]) >= OCCUPIED and not allowed:
                 message = f"expected a cell of occupancy below {OCCUPIED}, got {position}"
                 cell = f"in cell [row {row}, column {column}] of occupancy {came:.2g}"
                 nearest = _nearest_free(cost_map, occupancy[scene], x, y)
-                raise InvalidRequest(f"{message} {cell}; {nearest}", name)
+                hint = resolution_hint(cost_map.resolution)
+                raise InvalidRequest(f"{message} {cell}; {nearest}{hint}", name)
 
 
 def _nearest_free(cost_map: CostMap, occupancy: NDArray[np.float32], x: float, y: float) -> str:
@@ -305,4 +309,7 @@ def _options(options: Mapping[str, Any], dim: int | None) -> dict[str, Any]:
                 raise InvalidRequest("expected none for a planner without a cost map", name)
     elif "warm_start" in options:
         readers = readers | {"warm_start": partial(WarmStart.from_fields, dim=dim)}
-    return {name: readers[name](value) for name, value in options.items()}
+    read = {name: readers[name](value) for name, value in options.items()}
+    if read.get("model") == DEFAULT_MODEL:
+        del read["model"]
+    return read

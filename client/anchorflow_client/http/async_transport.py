@@ -7,6 +7,7 @@ import http.client
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from anchorflow_client.errors import UsageError
 from anchorflow_client.http.answer_parser import AnswerParser, HttpAnswer
 from anchorflow_client.http.transport import Address, translated, unreachable
 
@@ -22,11 +23,11 @@ class AsyncSocketTransport:
         """Check the arguments; `send` connects.
 
         Raises:
-            ValueError: `url` is invalid, or `max_connections` is not a whole number from 1.
+            UsageError: `url` is invalid, or `max_connections` is not a whole number from 1.
         """
         self._address = Address.of(url)
         if type(max_connections) is not int or max_connections < 1:
-            raise ValueError(
+            raise UsageError(
                 f"max_connections: expected a whole number of at least 1, got {max_connections!r}"
             )
         self._url = url

@@ -17,6 +17,7 @@ from anchorflow_client.errors import (
     NotReady,
     RequestError,
     TimedOut,
+    UsageError,
 )
 from anchorflow_client.http.answer_parser import HttpAnswer, whole_number
 
@@ -66,10 +67,10 @@ class Exchanges:
         """Prefix every path of the contract with the path of the service's URL.
 
         Raises:
-            ValueError: the token cannot be sent in a header; the message does not repeat it.
+            UsageError: the token cannot be sent in a header; the message does not repeat it.
         """
         if token is not None and not (token.isascii() and token.isprintable()):
-            raise ValueError("token: expected printable ASCII, got other characters too")
+            raise UsageError("token: expected printable ASCII, got other characters too")
         self._codec = codec
         self._base_path = urlsplit(url).path.rstrip("/")
         self._authorization = {} if token is None else {"Authorization": f"Bearer {token}"}

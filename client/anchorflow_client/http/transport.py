@@ -15,7 +15,13 @@ from functools import cached_property
 from typing import Protocol
 from urllib.parse import urlsplit
 
-from anchorflow_client.errors import ConnectionFailed, InvalidAnswer, TimedOut, TransportError
+from anchorflow_client.errors import (
+    ConnectionFailed,
+    InvalidAnswer,
+    TimedOut,
+    TransportError,
+    UsageError,
+)
 from anchorflow_client.http.answer_parser import AnswerParser, HttpAnswer
 
 PORTS = {"http": http.client.HTTP_PORT, "https": http.client.HTTPS_PORT}
@@ -80,11 +86,11 @@ class Address:
         """Parse a service's URL.
 
         Raises:
-            ValueError: `url` is not http://host[:port] or https://host[:port], its host or port is
+            UsageError: `url` is not http://host[:port] or https://host[:port], its host or port is
                 invalid, it names a user, or its path cannot be sent in a request.
         """
         if "@" in re.split(r"[/?#]", f"{url}".partition("//")[2] or f"{url}")[0]:
-            raise ValueError(  # without the URL, which may hold a password
+            raise UsageError(  # without the URL, which may hold a password
                 f"{EXPECTED_URL} one with a user before the host; a bearer token is given as "
                 "token=…"
             )
@@ -92,19 +98,19 @@ class Address:
             parts = urlsplit(url)
             port = parts.port
         except ValueError as error:
-            raise ValueError(f"{EXPECTED_URL} {url!r}: {error}") from error
+            raise UsageError(f"{EXPECTED_URL} {url!r}: {error}") from error
         if parts.scheme not in PORTS or not parts.hostname:
-            raise ValueError(f"{EXPECTED_URL} {url!r}")
+            raise UsageError(f"{EXPECTED_URL} {url!r}")
         if not (parts.path.isascii() and parts.path.isprintable()) or " " in parts.path:
-            raise ValueError(f"expected a path of printable ASCII without spaces, got {url!r}")
+            raise UsageError(f"expected a path of printable ASCII without spaces, got {url!r}")
         try:
             parts.hostname.encode("idna")
         except UnicodeError as error:
-            raise ValueError(
+            raise UsageError(
                 f"expected a host in http://host[:port], got {url!r}: {error}"
             ) from error
         if port == 0:
-            raise ValueError(f"expected a port from 1 to 65535, got {url!r}")
+            raise UsageError(f"expected a port from 1 to 65535, got {url!r}")
         authority = parts.netloc if parts.netloc.isascii() else parts.netloc.encode("idna").decode()
         return cls(parts.hostname, port or PORTS[parts.scheme], authority, parts.scheme == "https")
 
@@ -121,7 +127,7 @@ class Address:
         """Return the head of a request.
 
         Raises:
-            ValueError: a header is not printable ASCII; the message does not repeat its value,
+            UsageError: a header is not printable ASCII; the message does not repeat its value,
                 which may be a token.
         """
         lines = [f"{method} {path} HTTP/1.1"]
@@ -130,7 +136,7 @@ class Address:
             all_headers["Content-Length"] = str(len(body))
         for name, value in all_headers.items():
             if not (value.isascii() and value.isprintable()):
-                raise ValueError(f"{name}: expected printable ASCII, got other characters too")
+                raise UsageError(f"{name}: expected printable ASCII, got other characters too")
             lines.append(f"{name}: {value}")
         return "\r\n".join([*lines, "", ""]).encode()
 
@@ -161,7 +167,7 @@ class SocketTransport:
     """
 
     def __init__(self, url: str, *, connect_timeout_s: float) -> None:
-        """Parse the URL; the first `send` connects. Raises `ValueError` if the URL is invalid."""
+        """Parse the URL; the first `send` connects. Raises `UsageError` if the URL is invalid."""
         self._url = url
         self._address = Address.of(url)
         self._connect_timeout_s = float(connect_timeout_s)

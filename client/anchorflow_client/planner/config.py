@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from anchorflow_client.contract import fields as ranges
 from anchorflow_client.contract.checks import Interval, is_number
-from anchorflow_client.errors import AnchorFlowError, InvalidRequest
+from anchorflow_client.errors import AnchorFlowError, InvalidRequest, UsageError
 from anchorflow_client.retry_policy import at_least_retry_after, exponential_backoff
 
 PERIOD = Interval(0.0, math.inf, "ms", open_low=True, open_high=True)
@@ -60,14 +60,14 @@ class PlannerConfig:
     """Every how many requests one starts from noise, to find other ways; 1: every request."""
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` if a setting is out of range."""
+        """Raise `UsageError` if a setting is out of range."""
         for name, interval in INTERVALS.items():
             value = getattr(self, name)
             if not is_number(value) or not interval.holds(value):
-                raise ValueError(f"{name}: expected a number {interval}, got {value!r}")
+                raise UsageError(f"{name}: expected a number {interval}, got {value!r}")
             object.__setattr__(self, name, float(value))  # float32 rounds the time in s to minutes
         if not isinstance(self.cold_every, int) or self.cold_every < 1:
-            raise ValueError(f"cold_every: expected an integer from 1, got {self.cold_every!r}")
+            raise UsageError(f"cold_every: expected an integer from 1, got {self.cold_every!r}")
 
 
 class Pacing:

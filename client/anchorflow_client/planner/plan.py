@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_client.contract import AnchorBatch
-from anchorflow_client.errors import AnchorFlowError
+from anchorflow_client.errors import AnchorFlowError, UsageError
 
 Array = NDArray[np.float64]
 
@@ -76,10 +76,10 @@ class Plan:
         velocity.
 
         Raises:
-            ValueError: the plan is not usable.
+            UsageError: the plan is not usable.
         """
         if self.batch is None:
-            raise ValueError(f"expected a usable plan, got one that is {self.state.value}")
+            raise UsageError(f"expected a usable plan, got one that is {self.state.value}")
         states = states_of(self.batch)
         return shifted(states, dt=self.batch.dt, elapsed_s=1e-3 * self.age_ms + ahead_s)
 
@@ -119,30 +119,9 @@ def shifted(
     return later
 
 
-def why_unsafe(
-    batch: AnchorBatch, margin_m: float, *, start_m: float = float("inf"), share_m: float = 0.0
-) -> str | None:
-    """Return why no anchor is safe; None if one is, or if the batch has no `safe`.
-
-    margin_m: the margin of the request
-    start_m: clearance of the start in m
-    share_m: m that the service requires beyond the margin
-    """
-    safe, clearance = batch.arrays.get("safe"), batch.arrays.get("clearance")
+def why_unsafe(batch: AnchorBatch) -> str | None:
+    """Return why no anchor is safe; None if one is, or if the batch has no `safe`."""
+    safe = batch.arrays.get("safe")
     if safe is None or safe.any():
         return None
-    none_safe = f"none of {len(safe)} anchors is safe"
-    if start_m < margin_m + share_m:
-        return (
-            f"{none_safe}: the start keeps {start_m:.3f} m of the {margin_m:.3f} m that are asked "
-            f"for and {share_m:.3f} m for the width of a cell"
-        )
-    if clearance is None:
-        return none_safe
-    widest = float(clearance.max())
-    if widest >= margin_m:
-        return f"{none_safe}: those that have room break a limit or keep the margin only just"
-    return (
-        f"{none_safe}: the widest way keeps {widest:.3f} m of the {margin_m:.3f} m that are asked "
-        "for"
-    )
+    return batch.reason or f"none of {len(safe)} anchors is safe"

@@ -35,7 +35,6 @@ from anchorflow_client.errors import (
     TimedOut,
 )
 from anchorflow_client.planner.config import Pacing, PlannerConfig
-from anchorflow_client.planner.local_goal import SHARE_OF_CELL, start_clearance
 from anchorflow_client.planner.plan import Plan, PlanState, why_unsafe
 from anchorflow_client.planner.request import (
     AnchorInUse,
@@ -46,7 +45,6 @@ from anchorflow_client.planner.request import (
     at_the_state,
     build_request,
     read_own_states,
-    requested_margin,
 )
 from anchorflow_client.planner.routes import Commitment, Progress, Routes
 
@@ -266,13 +264,7 @@ class Planner:
             wanted, came = ", ".join(MOTIONS), ", ".join(batch.arrays)
             raise InvalidAnswer(f"expected {wanted} [N,T,D], got {came} of {list(shape)}")
         cost_map = CostMap.from_fields(seen.cost_map)
-        place, radius = seen.x_curr[:2], limits.radius
-        reason = why_unsafe(
-            batch,
-            requested_margin(seen, self._config),
-            start_m=math.inf if radius is None else start_clearance(cost_map, place, radius),
-            share_m=SHARE_OF_CELL * cost_map.resolution,
-        )
+        place, reason = seen.x_curr[:2], why_unsafe(batch)
         routes = Routes.among(batch, cost_map, request.obstacles)
         return _Answer(request_id, seen.seen_at, place, batch, routes, limits.v_max, reason)
 

@@ -115,7 +115,8 @@ class Engine:
         clock = StageClock()
         with clock.stage("total"):
             scenes = self._scenes(request)
-            answers = [self._plan_scene(scene, clock, threads, check) for scene in scenes]
+            planned = [self._plan_scene(scene, clock, threads, check) for scene in scenes]
+        answers, reasons = zip(*planned, strict=True)
         arrays = _stacked(answers, batched=request.batched)
         own = arrays.pop(DT, None)
         return AnchorBatch(
@@ -126,6 +127,7 @@ class Engine:
             model=self.card.id,
             timing_ms=clock.elapsed_ms,
             request_id=request.request_id,
+            reason=_joined(reasons, batched=request.batched),
             absent_inputs=tuple(
                 spec.name
                 for spec in self.card.inputs
@@ -188,7 +190,8 @@ class Engine:
 
     def _plan_scene(
         self, scene: ConditionedScene, clock: StageClock, threads: int, check: Check
-    ) -> Arrays:
+    ) -> tuple[Arrays, str | None]:
+        """Return the arrays of a scene's answer, and why none of its anchors is safe."""
         check()
         if isinstance(scene, MapScene) and scene.request.has_body:
             with clock.stage("refine"):
@@ -203,13 +206,16 @@ class Engine:
             finished = self._finish.finish(samples, scene, threads=threads)
         return self._answer(scene, finished)
 
-    def _answer(self, scene: ConditionedScene, finished: Arrays) -> Arrays:
-        """Return the arrays of the card, and the extras that the request lists."""
+    def _answer(
+        self, scene: ConditionedScene, finished: Arrays
+    ) -> tuple[Arrays, str | None]:
+        """Return the arrays of the card and the extras that the request lists, and the reason."""
+        reason = self._finish.reason(finished, scene)
         asked = scene.request.outputs
         extras = [spec.name for spec in self.card.answer.extras if spec.name in asked]
         names = ("trajectories", *self.card.answer.arrays, *extras)
         timed = {DT: finished[DT]} if DT in finished else {}
-        return scene.answered({name: finished[name] for name in names} | timed)
+        return scene.answered({name: finished[name] for name in names} | timed), reason
 
 
 def _stacked(scenes: Sequence[Arrays], *, batched: bool) -> Arrays:
@@ -217,3 +223,11 @@ def _stacked(scenes: Sequence[Arrays], *, batched: bool) -> Arrays:
     if not batched:
         return {**scenes[0]}
     return {name: np.stack([scene[name] for scene in scenes]) for name in scenes[0]}
+
+
+def _joined(reasons: Sequence[str | None], *, batched: bool) -> str | None:
+    """Return the reason of an answer; that of each scene by its number if there may be several."""
+    if not batched:
+        return reasons[0]
+    told = [f"scene {index}: {why}" for index, why in enumerate(reasons) if why is not None]
+    return "; ".join(told) or None

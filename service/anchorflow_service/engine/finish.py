@@ -14,10 +14,11 @@ from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
+from anchorflow_service.engine.moving_loops import MOVING_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
 from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.finish.why_unsafe import why_unsafe
 from anchorflow_trajectory.threads import Spread, in_one
-from anchorflow_trajectory.warm_up import compile_loops
 
 MIN_PART = 16  # anchors; a thread that gets fewer costs more than it saves
 
@@ -38,6 +39,10 @@ class NoFinish:
         """Return trajectories [N,T,D] and the sampler's arrays."""
         return {"trajectories": samples.states[..., : self._D], **samples.arrays}
 
+    def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:  # noqa: ARG002
+        """Return None: nothing is called safe or unsafe."""
+        return None
+
 
 def refiner_of(manifest: Manifest, scene: MapScene, *, spread: Spread = in_one) -> Refiner:
     """Return the refiner of a scene, for a manifest whose finish is "spline"."""
@@ -49,13 +54,13 @@ def refiner_of(manifest: Manifest, scene: MapScene, *, spread: Spread = in_one) 
 class SplineFinish:
     """Refines anchors on the spline that the manifest describes.
 
-    The first instance compiles the loops.
+    The first instance compiles the loops that are not on disk.
     """
 
     def __init__(self, manifest: Manifest, *, threads: int) -> None:
         self._manifest = manifest
         self._pool = ThreadPool(threads, name="anchorflow-finish")
-        compile_loops()
+        MOVING_LOOPS.load()
 
     def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:
         """Return anchors that meet both ends, with their derivatives, scores and clearance."""
@@ -83,6 +88,14 @@ class SplineFinish:
             **own,
             **samples.arrays,
         }
+
+    def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:
+        """Return why no anchor is safe; None if one is."""
+        if arrays["safe"].any():
+            return None
+        assert isinstance(scene, MapScene)
+        margin = scene.request.certified_margin
+        return why_unsafe(scene.scene, arrays["clearance"], certified_margin=margin)
 
 
 FINISHES: Mapping[str, Callable[..., Finish]] = {"spline": SplineFinish, "none": NoFinish}

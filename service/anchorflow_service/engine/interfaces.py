@@ -143,6 +143,10 @@ class Finish(Protocol):
         """
         ...
 
+    def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:
+        """Return why no anchor is safe in one sentence; None if one is, or if it does not know."""
+        ...
+
 
 def best(scores: Array, count: int) -> NDArray[np.intp]:
     """Return indices [N] of the highest of scores [K], at most `count`; ties keep their order."""

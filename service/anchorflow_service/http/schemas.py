@@ -89,6 +89,11 @@ class AnchorAnswerBody(BaseModel):
     model: ModelIdBody
     timing_ms: TimingBody
     request_id: str
+    reason: str | None = Field(
+        None,
+        description="Why no anchor is safe, in one sentence; null if one is. In a batch, that of "
+        "each scene without a safe anchor, by its number.",
+    )
     absent_inputs: str | None = Field(
         None,
         description="Optional inputs of the card that the request left out, separated by commas.",

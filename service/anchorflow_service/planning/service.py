@@ -20,6 +20,7 @@ from anchorflow_client.contract import (
     ResolvedRequest,
     resolve_for_card,
 )
+from anchorflow_client.contract.fields import DEFAULT_MODEL
 from anchorflow_client.errors import (
     InternalError,
     InvalidRequest,
@@ -82,6 +83,8 @@ class EngineRegistry:
 
     def choose(self, model: str | None) -> PlanningEngine:
         """Return the engine of that model, or the default. Raises `UnknownModel`."""
+        if model == DEFAULT_MODEL and model not in self._engines:
+            model = None
         name = self.default if model is None else model
         engine = self._engines.get(name)
         if engine is None:

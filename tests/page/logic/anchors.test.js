@@ -29,7 +29,8 @@ test("the curvature is that of a circle, and its limit what a_max allows", () =>
   close(anchors.curvature(0), Array(16).fill(0.5), 1e-5);
   close(anchors.curvatureLimit(0), Array(16).fill(3 / 1.5 ** 2), 1e-5);
   close([anchors.length(0)], [4], 0.01);
-  assert.equal(anchors.trouble, "");
+  assert.equal(anchors.reason, "");
+  assert.equal(new Anchors({ ...answer, reason: "no way" }, { conditioning: { limits } }).reason, "no way");
 });
 
 for (const [dt, first, durations, text, isOwn] of [

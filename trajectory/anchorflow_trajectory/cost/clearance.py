@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.caching import MapCache, cached_property
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
 # Successive requests often share a map, with other starts and other robots.
@@ -151,7 +151,7 @@ def distance_in_cells(cells: BoolArray) -> NDArray[np.float64]:
     return distance
 
 
-@compiled
+@compiled_part
 def _along_columns(cells: BoolArray) -> NDArray[np.int64]:
     """Cells [H, W] to the nearest set cell of the same column; -1 where it has none."""
     height, width = cells.shape

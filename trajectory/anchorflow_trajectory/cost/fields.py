@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled_part
 from anchorflow_trajectory.cost.clearance import OCCUPIED, GridField
 from anchorflow_trajectory.movers import MovingDiscs
 
@@ -93,7 +93,7 @@ def _nowhere(dtype: np.dtype) -> Grid:
     return Grid(np.zeros((0, 0), np.float32), *np.zeros(8, dtype))
 
 
-@compiled
+@compiled_part
 def look_up(grid: Grid, x: float, y: float) -> tuple[float, float, float]:
     """The value of a field at (x, y) in m and its derivatives along both [1/m].
 

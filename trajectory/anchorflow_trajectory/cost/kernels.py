@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.cost.fields import Grid, look_up
 from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.spline.kernels import (
@@ -60,7 +60,7 @@ class Problem(NamedTuple):
     band: Band
     clearance: Grid
     surcharge: Grid
-    movers: Discs
+    movers: Discs | None
     gains: Gains
 
 
@@ -93,7 +93,7 @@ def cost_of_splines(
     return cost, slope, by_duration
 
 
-@compiled
+@compiled_part
 def cost_of_lanes(
     problem: Problem,
     control: FloatArray,
@@ -134,12 +134,10 @@ def cost_of_lanes(
         sample_lanes(control, lanes, band, t, samples)
         _look_up_ground(problem, samples, lanes, ground)
         share = real(t) / real(steps - 1)
-        if len(problem.movers.radius) > 0:
-            _charge_movers(problem, style, share, duration, samples, lanes, hinges, pull)
+        _charge_movers(problem.movers, gains, style, share, duration, samples, lanes, hinges, pull)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
         _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
-        if len(problem.movers.radius) > 0:
-            _add_to_slopes(pull, lanes, samples)
+        _add_to_slopes(problem.movers, pull, lanes, samples)
         if is_sloped:
             gather_slopes(samples, lanes, band, t, slope)
     share = real(1.0) / real(steps)
@@ -156,7 +154,7 @@ def cost_of_lanes(
                 slope[d, k, m] *= share
 
 
-@compiled
+@compiled_part
 def _look_up_ground(problem: Problem, samples: FloatArray, lanes: int, ground: FloatArray) -> None:
     """Write value and slopes of clearance and of the surcharge at the samples, [2, 3, LANES]."""
     for m in range(lanes):
@@ -166,15 +164,17 @@ def _look_up_ground(problem: Problem, samples: FloatArray, lanes: int, ground: F
             ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
 
 
-@compiled
-def _add_to_slopes(pull: FloatArray, lanes: int, samples: FloatArray) -> None:
+@compiled_part
+def _add_to_slopes(discs: Discs | None, pull: FloatArray, lanes: int, samples: FloatArray) -> None:
     """Add slopes by place [2, LANES] to those that the samples have become."""
+    if discs is None:
+        return
     for d in range(2):
         for m in range(lanes):
             samples[0, d, m] += pull[d, m]
 
 
-@compiled
+@compiled_part
 def _charge_ground(
     gains: Gains,
     style: FloatArray,
@@ -203,9 +203,10 @@ def _charge_ground(
             samples[0, d, m] = real(0.0)
 
 
-@compiled
+@compiled_part
 def _charge_movers(
-    problem: Problem,
+    discs: Discs | None,
+    gains: Gains,
     style: FloatArray,
     share: float,
     duration: FloatArray,
@@ -218,7 +219,9 @@ def _charge_movers(
 
     share: of the duration at which the samples are
     """
-    gains, discs, real = problem.gains, problem.movers, samples.dtype.type
+    if discs is None:
+        return
+    real = samples.dtype.type
     legs, far = discs.places.shape[1] - 1, real(np.inf)
     time, comfort = np.empty(LANES, samples.dtype), np.empty(LANES, samples.dtype)
     scale = np.empty((2, LANES), samples.dtype)
@@ -261,7 +264,7 @@ def _charge_movers(
             )
 
 
-@compiled
+@compiled_part
 def _charge_mover(
     gains: Gains,
     scale: FloatArray,
@@ -308,7 +311,7 @@ def _charge_mover(
         later[m] += (rate * closing + widened + faded) * time[m] - charge
 
 
-@compiled
+@compiled_part
 def _charge_motion(
     gains: Gains,
     pace: FloatArray,

@@ -139,6 +139,6 @@ class TrajectoryCost:
             self.basis.band(dtype),
             Grid.of(self.fields.clearance, dtype),
             Grid.of(self.fields.surcharge, dtype),
-            Discs.of(self.fields.movers, dtype),
+            self.fields.movers and Discs.of(self.fields.movers, dtype),
             Gains(*np.array(gains, dtype)),
         )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.finish.certificate import Judge, is_safe
 from anchorflow_trajectory.motion import MotionLimits
@@ -95,7 +95,8 @@ def _bisect(
     work, lasts = np.empty((dim, 5, points), control.dtype), np.empty(5)
     for p in range(begin, end):
         for place, m in ((LOST, places[p, 0]), (FIRST, places[p, 1]), (SECOND, places[p, 2])):
-            work[:, place], lasts[place] = control[:, m], duration[m]
+            lasts[place] = duration[m]
+            _copy(control, m, work, place)
         _mix(work, lasts, FIRST, SECOND, share[p], ends, NEAREST)
         if not is_safe(work, lasts, NEAREST, judge):
             _mix(work, lasts, FIRST, SECOND, 0.0, ends, NEAREST)
@@ -108,10 +109,18 @@ def _bisect(
             else:
                 beyond = middle
         _mix(work, lasts, NEAREST, LOST, reached, ends, TRIED)
-        moved[:, p], lasting[p] = work[:, TRIED], lasts[TRIED]
+        lasting[p] = lasts[TRIED]
+        _copy(work, TRIED, moved, p)
 
 
-@compiled
+@compiled_part
+def _copy(control: FloatArray, m: int, target: FloatArray, place: int) -> None:
+    for d in range(control.shape[0]):
+        for k in range(control.shape[2]):
+            target[d, place, k] = control[d, m, k]
+
+
+@compiled_part
 def _mix(
     control: FloatArray,
     duration: NDArray[np.float64],

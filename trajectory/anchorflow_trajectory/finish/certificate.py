@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid, look_up
 from anchorflow_trajectory.motion import MotionLimits
@@ -121,7 +121,7 @@ class Judge(NamedTuple):
 
     band: Band
     grid: Grid
-    movers: Discs
+    movers: Discs | None
     clearance: float
     apart: float
     speed: float
@@ -141,7 +141,7 @@ class Judge(NamedTuple):
         return Judge(
             basis.band(dtype),
             Grid.of(field, dtype),
-            Discs.of(movers, np.float64),
+            movers and Discs.of(movers, np.float64),
             float(required_clearance(field, certified_margin)),
             float(certified_margin + APART),
             float(SPEED_TOLERANCE * limits.v_max),
@@ -157,7 +157,7 @@ def _are_safe(control: FloatArray, duration: NDArray[np.float64], judge: Judge) 
     return safe
 
 
-@compiled
+@compiled_part
 def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: Judge) -> bool:
     """Whether the m-th of splines [D, M, K] and durations [M] is safe."""
     pace = control.dtype.type(1.0 / duration[m])
@@ -171,11 +171,10 @@ def is_safe(control: FloatArray, duration: NDArray[np.float64], m: int, judge: J
         x, y = x * pace * pace, y * pace * pace
         if not np.sqrt(x * x + y * y) <= judge.acceleration:
             return False
-        path[t] = sample_one(control, m, judge.band, t, 0)
-    if len(judge.movers.radius):
-        apart = moving_clearance(judge.movers, path, duration[m], judge.apart, judge.apart)
-        if not apart >= judge.apart:
-            return False
+        path[t, 0], path[t, 1] = sample_one(control, m, judge.band, t, 0)
+    apart = moving_clearance(judge.movers, path, duration[m], judge.apart, judge.apart)
+    if not apart >= judge.apart:
+        return False
     return _clearance_along(judge.grid, path, judge.clearance) >= judge.clearance
 
 
@@ -225,7 +224,7 @@ def _moving_clearances(
     return least
 
 
-@compiled
+@compiled_part
 def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
     """Return the least clearance along samples [T, D] and between them; stop below `enough`.
 
@@ -241,7 +240,7 @@ def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
     return least
 
 
-@compiled
+@compiled_part
 def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: int) -> float:
     """Return the least clearance from sample t - 1 up to t, t excluded.
 
@@ -273,13 +272,13 @@ def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: 
     return least
 
 
-@compiled
+@compiled_part
 def _second_difference(path: FloatArray, t: int) -> tuple[float, float]:
     x = path[t - 1, 0] - 2 * path[t, 0] + path[t + 1, 0]
     return x, path[t - 1, 1] - 2 * path[t, 1] + path[t + 1, 1]
 
 
-@compiled
+@compiled_part
 def _leg_clearance(grid: Grid, x: float, y: float, to_x: float, to_y: float) -> float:
     """Return the least clearance along a straight leg, its end excluded."""
     along_x, along_y = to_x - x, to_y - y

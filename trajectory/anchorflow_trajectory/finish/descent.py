@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.cost.kernels import Problem, cost_of_lanes
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.spline.basis import Ends, Splines, whitening
@@ -122,7 +122,7 @@ def descend_splines(
             log_duration[begin + m] = lasting[m]
 
 
-@compiled
+@compiled_part
 def descend_lanes(
     problem: Problem,
     way: Descent,
@@ -162,7 +162,7 @@ def descend_lanes(
                 set_lanes_ends(control, lasting, ends, lanes)
 
 
-@compiled
+@compiled_part
 def _turn_slopes(
     way: Descent, slope: FloatArray, away: FloatArray, lanes: int, change: FloatArray
 ) -> None:
@@ -178,7 +178,7 @@ def _turn_slopes(
                 change[row, m] += share * slope[d, point, m]
 
 
-@compiled
+@compiled_part
 def _move(
     way: Descent, change: FloatArray, away: FloatArray, lanes: int, control: FloatArray
 ) -> None:
@@ -194,7 +194,7 @@ def _move(
                 control[d, point, m] -= share * change[row, m]
 
 
-@compiled
+@compiled_part
 def _adam(
     change: FloatArray, mean: FloatArray, spread: FloatArray, count: int, rate: float, lanes: int
 ) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.cost.kernels import Problem, cost_of_lanes
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.finish.certificate import Judge, is_safe
@@ -23,6 +23,7 @@ from anchorflow_trajectory.spline.kernels import (
     LANES,
     Band,
     EndPoints,
+    copy_lane,
     put_lanes,
     sample_lanes,
     set_lanes_ends,
@@ -140,7 +141,7 @@ def _run(
         safe[m] = is_safe(control, duration, m, judge)
 
 
-@compiled
+@compiled_part
 def _run_on_lanes(
     problem: Problem,
     descent: Descent,
@@ -167,7 +168,7 @@ def _run_on_lanes(
         _slow_down(problem.band, timing, ends, control, duration, lanes)
 
 
-@compiled
+@compiled_part
 def _speed_up(
     problem: Problem,
     timing: Timing,
@@ -194,11 +195,12 @@ def _speed_up(
         for m in range(lanes):
             if h == 0 or found[0, m] < least[m]:
                 least[m], duration[m] = found[0, m], lasting[m]
-                best[:, :, m] = tried[:, :, m]
-    control[:] = best
+                copy_lane(tried, m, best)
+    for m in range(lanes):
+        copy_lane(best, m, control)
 
 
-@compiled
+@compiled_part
 def _slow_down(
     band: Band,
     timing: Timing,
@@ -226,10 +228,10 @@ def _slow_down(
     for m in range(lanes):
         if slower[m] < needed[m]:
             duration[m] = lasting[m]
-            control[:, :, m] = tried[:, :, m]
+            copy_lane(tried, m, control)
 
 
-@compiled
+@compiled_part
 def _needed_stretch(
     band: Band,
     timing: Timing,

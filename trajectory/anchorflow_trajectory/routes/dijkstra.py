@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 
 Steps = NDArray[np.uint8]
 Cells = NDArray[np.int64]
@@ -80,7 +80,7 @@ class Ground(NamedTuple):
     limit: float
 
 
-@compiled
+@compiled_part
 def step_cost(surcharge: Lengths, cell: int, head: int, step: int) -> float:
     """Cost in cells of a step from a cell to its neighbour."""
     return LENGTHS[step] * (1.0 + 0.5 * (surcharge[cell] + surcharge[head]))
@@ -119,7 +119,7 @@ class Entries(NamedTuple):
     links: Links
 
 
-@compiled
+@compiled_part
 def new_queue(surcharge: Lengths) -> Queue:
     """Make an empty queue for a grid of cells with this surcharge [H * W]."""
     cells, lists = len(surcharge), 1
@@ -135,7 +135,7 @@ def new_queue(surcharge: Lengths) -> Queue:
     )
 
 
-@compiled
+@compiled_part
 def ways_from(cell: int, ground: Ground, queue: Queue) -> tuple[Ways, Cells]:
     """The ways from a cell, in one sheet, and the cells that they lead to, the nearest first."""
     lengths = np.full((1, len(ground.steps)), np.inf)
@@ -143,7 +143,7 @@ def ways_from(cell: int, ground: Ground, queue: Queue) -> tuple[Ways, Cells]:
     return ways, spread(only_entry(cell), ground, queue, 0, ways)
 
 
-@compiled
+@compiled_part
 def spread(entries: Entries, ground: Ground, queue: Queue, sheet: int, ways: Ways) -> Cells:
     """Search a sheet from its entries, and change its ways.
 
@@ -152,7 +152,7 @@ def spread(entries: Entries, ground: Ground, queue: Queue, sheet: int, ways: Way
     steps, offsets, surcharge, rest, limit = ground
     first, last, cells, after, turns, reached = queue
     lengths, links = ways.lengths[sheet], ways.links[sheet]
-    order = np.argsort(entries.lengths, kind="mergesort")
+    order = _in_order(entries.lengths)
     turns[:] = -1
     turn, entered, found, used, taken = 0, 0, 0, 0, 0
     while entered < len(order) or taken < used:
@@ -194,7 +194,34 @@ def spread(entries: Entries, ground: Ground, queue: Queue, sheet: int, ways: Way
     return reached[:found].copy()
 
 
-@compiled
+@compiled_part
+def _in_order(lengths: Lengths) -> Cells:
+    """The places of lengths [E], the shortest first and of equal ones the first.
+
+    A merge sort, which compiles in a third of the time of numpy's.
+    """
+    count, run = len(lengths), 1
+    order, merged = np.arange(count), np.empty(count, np.int64)
+    while run < count:
+        for begin in range(0, count, 2 * run):
+            left, right, end = begin, min(begin + run, count), min(begin + 2 * run, count)
+            middle = right
+            for place in range(begin, end):
+                is_left = left < middle
+                if is_left and right < end:
+                    is_left = lengths[order[left]] <= lengths[order[right]]
+                if is_left:
+                    merged[place] = order[left]
+                    left += 1
+                else:
+                    merged[place] = order[right]
+                    right += 1
+        order, merged = merged, order
+        run *= 2
+    return order
+
+
+@compiled_part
 def _enter(
     entries: Entries,
     order: Cells,
@@ -229,14 +256,14 @@ def _enter(
     return entered, used
 
 
-@compiled
+@compiled_part
 def only_entry(cell: int) -> Entries:
     """Where ways begin."""
     one = np.full(1, NO_LINK, np.int32)
     return Entries(np.zeros(1, np.uint64), np.full(1, cell), np.zeros(1), one)
 
 
-@compiled
+@compiled_part
 def walked_back(cell: int, link: int, links: Links, ground: Ground) -> Cells:
     """The cells from one to where its way began, by the links [S, H * W] of all sheets."""
     way, count = np.empty(int(ground.limit) + 2, np.int64), 1

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.routes.dijkstra import STEPS
 
 Signature = tuple[int, ...]
@@ -164,7 +164,7 @@ def _summed_crossings(
     return summed
 
 
-@compiled
+@compiled_part
 def crossings(path: NDArray[np.float64], column: int, row: int) -> int:
     """Crossings of a ray by a polyline [T, 2] in cells: to the right, less those to the left."""
     edge, found = column + 1.0, 0

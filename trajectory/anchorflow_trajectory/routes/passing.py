@@ -66,6 +66,7 @@ def ways_past(along: Splines, cost: TrajectoryCost, ends: Ends, *, until: float)
     cost: its fields tell what moves
     until: s, after which nothing counts
     """
+    assert cost.fields.movers is not None
     basis, discs = cost.basis, Discs.of(cost.fields.movers, np.float32)
     drawn, route = _lattice(along, basis, ends, cost.limits)
     price = cost.value(drawn)
@@ -156,6 +157,7 @@ def place_to_end(
 
     fields: of the scene; times: s of arrival, one of which has to do
     """
+    assert fields.movers is not None
     discs = Discs.of(fields.movers, np.float64)
     if not len(discs.radius) or _is_clear(discs, goal[None], times).any():
         return goal

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.routes.dijkstra import (
     ROUNDING,
     STEPS,
@@ -149,7 +149,7 @@ def charge_along(points: FloatArray, surcharge: Lengths) -> float:
     return total
 
 
-@compiled
+@compiled_part
 def charge_of_leg(begin: FloatArray, end: FloatArray, surcharge: Lengths) -> float:
     """The integral [cells] of the surcharge [H, W] along the straight line [2] to [2] in cells."""
     height, width = surcharge.shape
@@ -244,7 +244,7 @@ def search_routes(
     return cells, ends[: found + 1]
 
 
-@compiled
+@compiled_part
 def _cut(
     near: Cells, steps: Steps, offsets: Cells, links: Links, crossed: Keys
 ) -> tuple[Steps, Cuts]:
@@ -273,7 +273,7 @@ def _cut(
     return inside, Cuts(across, count, crossed, keys)
 
 
-@compiled
+@compiled_part
 def _change(crossed: Keys, cell: int, head: int, step: int) -> np.uint64:
     """Return what a step from a cell to another adds to a signature's key."""
     if STEPS[step, 1] > 0:
@@ -283,7 +283,7 @@ def _change(crossed: Keys, cell: int, head: int, step: int) -> np.uint64:
     return np.uint64(0)
 
 
-@compiled
+@compiled_part
 def _left(
     reached: Cells, ground: Ground, cuts: Cuts, sheet: int, known: Keys, lengths: Lengths
 ) -> Entries:
@@ -312,7 +312,7 @@ def _left(
     return Entries(keys[:count], cells[:count], until[:count], links[:count])
 
 
-@compiled
+@compiled_part
 def _place(key: np.uint64, keys: Keys) -> int:
     """Return the index of a key in keys [S], or S."""
     for place in range(len(keys)):
@@ -321,7 +321,7 @@ def _place(key: np.uint64, keys: Keys) -> int:
     return len(keys)
 
 
-@compiled
+@compiled_part
 def _kept(entries: Entries, chosen: NDArray[np.bool_]) -> Entries:
     """Those of the entries [E] that are chosen."""
     return Entries(
@@ -332,7 +332,7 @@ def _kept(entries: Entries, chosen: NDArray[np.bool_]) -> Entries:
     )
 
 
-@compiled
+@compiled_part
 def _joined(some: Entries, more: Entries) -> Entries:
     """Both, one after the other."""
     return Entries(

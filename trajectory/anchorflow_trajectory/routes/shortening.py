@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.routes.homotopy import ObstacleRays, crossings, in_cells
 from anchorflow_trajectory.routes.search import (
     LOOKS_A_CELL,
@@ -161,7 +161,7 @@ def _cheapest(
     return kept[: found + 1][::-1].copy()
 
 
-@compiled
+@compiled_part
 def _same_crossings(
     points: Points, corners: Cells, at: int, to: int, crossed: Cells, columns: Cells, rows: Cells
 ) -> bool:
@@ -173,7 +173,7 @@ def _same_crossings(
     return True
 
 
-@compiled
+@compiled_part
 def _is_clear(begin: Points, end: Points, free: BoolArray, looks: int) -> bool:
     """Whether the cells at `looks` points of the straight line [2] to [2] are free."""
     height, width = free.shape
@@ -187,7 +187,7 @@ def _is_clear(begin: Points, end: Points, free: BoolArray, looks: int) -> bool:
     return True
 
 
-@compiled
+@compiled_part
 def _same_sides(points: Points, columns: Cells, rows: Cells) -> bool:
     """Whether the chord between both ends of a polyline [K, 2] crosses every ray as often."""
     chord = np.stack((points[0], points[-1]))

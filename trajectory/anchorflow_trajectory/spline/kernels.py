@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.compiled import compiled
+from anchorflow_trajectory.compiled import compiled, compiled_part
 
 LANES = 64  # trajectories at a time, so that what is worked on stays in the nearest cache
 
@@ -41,7 +41,7 @@ class EndPoints(NamedTuple):
     orders: NDArray[np.int64]
 
 
-@compiled
+@compiled_part
 def sample_lanes(control: FloatArray, lanes: int, band: Band, t: int, samples: FloatArray) -> None:
     """Write the derivatives by own time of order 0 to O - 1 at sample t, [O, D, LANES].
 
@@ -59,7 +59,7 @@ def sample_lanes(control: FloatArray, lanes: int, band: Band, t: int, samples: F
                     samples[order, d, m] += weight * control[d, point, m]
 
 
-@compiled
+@compiled_part
 def sample_one(control: FloatArray, m: int, band: Band, t: int, order: int) -> tuple[float, float]:
     """x and y of the m-th of splines [D, M, K] at sample t, or of a derivative by own time."""
     first, weight = band.first[t], band.weights[t, order, 0]
@@ -71,7 +71,7 @@ def sample_one(control: FloatArray, m: int, band: Band, t: int, order: int) -> t
     return x, y
 
 
-@compiled
+@compiled_part
 def gather_slopes(samples: FloatArray, lanes: int, band: Band, t: int, slope: FloatArray) -> None:
     """Add to slopes by control points [D, K, LANES] what slopes by sample t [4, D, LANES] make."""
     for j in range(band.weights.shape[2]):
@@ -85,7 +85,7 @@ def gather_slopes(samples: FloatArray, lanes: int, band: Band, t: int, slope: Fl
                 slope[d, point, m] += straight + bent
 
 
-@compiled
+@compiled_part
 def take_lanes(control: FloatArray, begin: int, lanes: int, taken: FloatArray) -> None:
     """Write control points [D, M, K] from place `begin` on as [D, K, LANES]."""
     for d in range(control.shape[0]):
@@ -94,13 +94,21 @@ def take_lanes(control: FloatArray, begin: int, lanes: int, taken: FloatArray) -
                 taken[d, k, m] = control[d, begin + m, k]
 
 
-@compiled
+@compiled_part
 def put_lanes(taken: FloatArray, begin: int, lanes: int, control: FloatArray) -> None:
     """The same back: write [D, K, LANES] to their places in [D, M, K]."""
     for d in range(control.shape[0]):
         for m in range(lanes):
             for k in range(control.shape[2]):
                 control[d, begin + m, k] = taken[d, k, m]
+
+
+@compiled_part
+def copy_lane(control: FloatArray, m: int, target: FloatArray) -> None:
+    """Copy lane m of [D, K, LANES]; a slice assigned to a slice would take longer to compile."""
+    for d in range(control.shape[0]):
+        for k in range(control.shape[1]):
+            target[d, k, m] = control[d, k, m]
 
 
 @compiled
@@ -128,7 +136,7 @@ def sample_splines(control: FloatArray, pace: FloatArray, band: Band) -> FloatAr
     return states
 
 
-@compiled
+@compiled_part
 def end_point(ends: EndPoints, e: int, d: int, duration: float) -> float:
     """Component d of the e-th of the control points that ends set, in such a duration."""
     total = 0.0
@@ -147,7 +155,7 @@ def set_end_points(control: FloatArray, duration: NDArray[np.float64], ends: End
                 control[d, m, ends.points[e]] = end_point(ends, e, d, duration[m])
 
 
-@compiled
+@compiled_part
 def set_lanes_ends(
     control: FloatArray, duration: NDArray[np.float64], ends: EndPoints, lanes: int
 ) -> None:
@@ -158,7 +166,7 @@ def set_lanes_ends(
                 control[d, ends.points[e], m] = end_point(ends, e, d, duration[m])
 
 
-@compiled
+@compiled_part
 def add_slopes_of_ends(
     slope: FloatArray,
     log_duration: NDArray[np.float64],
@@ -213,7 +221,7 @@ def fit_free_points(
                     control[d, begin + m, start + f] = fitted[d, f, m]
 
 
-@compiled
+@compiled_part
 def _subtract_from(states: FloatArray, begin: int, t: int, lanes: int, samples: FloatArray) -> None:
     """Samples [3, D, LANES] become what states [M, T, 3 D], from `begin` on, differ by."""
     dim = samples.shape[1]

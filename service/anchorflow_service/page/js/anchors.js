@@ -14,9 +14,10 @@ export class Anchors {
    */
   constructor(answer, card, limits = card.conditioning.limits) {
     const { trajectories, velocities, accelerations, scores, clearance, safe } = answer;
-    const { dt, first_s: first = 0, seed, timing_ms: timing } = answer;
+    const { dt, first_s: first = 0, seed, timing_ms: timing, reason = "" } = answer;
     [this.count, this.steps] = trajectories.shape;
-    Object.assign(this, { card, limits, trajectories, first, seed, timing });
+    /** `reason`: why no anchor is safe; "" if one is, or if the planner does not say. */
+    Object.assign(this, { card, limits, trajectories, first, seed, timing, reason });
     /** [N,T,2] m, flat, without a heading; likewise in m/s and m/s². Null: not in the response. */
     this.positions = planar(trajectories);
     this.velocities = velocities ? planar(velocities) : null;
@@ -108,15 +109,6 @@ export class Anchors {
       const index = n * this.steps + t;
       return this.speeds[index] < STANDSTILL ? NaN : value(2 * index, this.speeds[index]);
     });
-  }
-
-  /** Why no anchor is safe, in words; "" if one is. */
-  get trouble() {
-    if (this.numSafe) return "";
-    const { v_max: fastest, horizon_s: horizon } = this.limits;
-    const numTooFast = this.order.filter((n) => this.greatest(this.speeds, n) > fastest).length;
-    if (horizon !== null && numTooFast > this.count / 2) return `the way is too long for ${horizon} s at ${fastest} m/s`;
-    return "each comes too close to an obstacle or breaks a limit";
   }
 }
 

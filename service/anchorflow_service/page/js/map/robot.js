@@ -170,7 +170,7 @@ export class Robot {
     const now = performance.now();
     this.#answerTimes = [...this.#answerTimes.filter((time) => now - time < 1000), now];
     this.#heardAt = now;
-    this.trouble = anchors.trouble;
+    this.trouble = anchors.reason;
     // A robot that has braked since is not where the response begins.
     if (this.#holds || question.plan !== this.#plan) return;
     if (!anchors.numSafe) {

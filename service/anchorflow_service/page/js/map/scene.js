@@ -105,16 +105,6 @@ export class Scene {
     this.changed("map");
   }
 
-  /** Which end is too near an obstacle for the robot, in words; "" if both are clear. */
-  get tightEnd() {
-    const radius = this.options.robot_radius;
-    for (const name of ["start", "goal"]) {
-      const gap = this.grid.gap(this[name].x, this[name].y);
-      if (gap < radius) return `the ${name} is ${gap.toFixed(2)} m from an obstacle, the robot needs ${radius.toFixed(2)} m`;
-    }
-    return "";
-  }
-
   /** Let people walk; a turn is a change that no plan has foreseen. */
   walk(seconds) {
     if (walk(this.people, seconds, this.grid)) this.version++;

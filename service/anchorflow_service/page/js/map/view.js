@@ -169,8 +169,8 @@ export class MapView extends AnchorView {
     this.fade();
   }
 
-  summarize({ count, numSafe, trouble, durationsText }) {
-    say(numSafe ? `${numSafe} of ${count} anchors are safe, ${durationsText}.` : `No anchor is safe: ${this.scene.tightEnd || trouble}.`);
+  summarize({ count, numSafe, reason, durationsText }) {
+    say(numSafe ? `${numSafe} of ${count} anchors are safe, ${durationsText}.` : `${reason || "no anchor is safe"}.`.replace(/^n/, "N"));
   }
 
   showDetails(anchors, n, step) {
