@@ -22,6 +22,8 @@ OTHER_UNITS: dict[str, tuple[tuple[float, str], ...]] = {
 """What else a number may be in, and its factor, by the unit that was expected."""
 FAR_BEYOND = 2.0
 """Times its bound, from which on a number may be meant in another unit."""
+HUGE = 1e9
+"""From which on a number is in no unit."""
 COARSE = 1.0
 """m/cell, from which on a resolution may be meant in centimetres."""
 PERCENT, BYTE = 100.0, 255.0
@@ -32,7 +34,7 @@ LEFT_OUT = {"x_curr": "the velocity and the acceleration", "x_goal": "the veloci
 
 def unit_hint(value: Any, low: float, high: float, unit: str) -> str:
     """Say in which unit a number beyond [low, high] would be inside."""
-    if not isinstance(value, int | float | np.number) or not math.isfinite(value):
+    if not isinstance(value, int | float | np.number) or not abs(value) < HUGE:
         return ""
     if abs(value) < FAR_BEYOND * max(abs(low), abs(high)):
         return ""

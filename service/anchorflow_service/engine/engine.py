@@ -206,9 +206,7 @@ class Engine:
             finished = self._finish.finish(samples, scene, threads=threads)
         return self._answer(scene, finished)
 
-    def _answer(
-        self, scene: ConditionedScene, finished: Arrays
-    ) -> tuple[Arrays, str | None]:
+    def _answer(self, scene: ConditionedScene, finished: Arrays) -> tuple[Arrays, str | None]:
         """Return the arrays of the card and the extras that the request lists, and the reason."""
         reason = self._finish.reason(finished, scene)
         asked = scene.request.outputs
