@@ -22,9 +22,9 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-import llvmlite.binding as llvm
 import numba
 import numpy as np
+from numba.core.registry import cpu_target
 
 from anchorflow_trajectory.compiled import code_folder
 from anchorflow_trajectory.cost.clearance import GridField
@@ -126,7 +126,7 @@ def _alone() -> Iterator[None]:
 
 def _mark(folder: Path, stage: str) -> Path:
     """Return the file that says that a stage was compiled for this processor by this numba."""
-    machine = numba.__version__, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    machine = numba.__version__, cpu_target.target_context.codegen().magic_tuple()
     return folder / f"{stage}-{sha256(repr(machine).encode()).hexdigest()[:12]}"
 
 
