@@ -63,8 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def run(name: str, arguments: Sequence[str]) -> None:
     """Run one command of `COMMANDS`."""
     who = f"anchorflow {name}"
-    with needs_extra(COMMANDS[name].extra, who=who):
-        app = COMMANDS[name].app()
+    command = COMMANDS[name]
+    with needs_extra(command.extra, who=who, summary=command.summary, arguments=arguments):
+        app = command.app()
     try:
         app(list(arguments), prog_name=who)
     except AnchorFlowError as error:

@@ -64,6 +64,7 @@ from anchorflow_client.errors import (
     Unauthorized as Unauthorized,
     UnknownModel as UnknownModel,
     UsageError as UsageError,
+    how_to_install,
 )
 from anchorflow_client.http import (
     AnchorClient as AnchorClient,
@@ -103,6 +104,5 @@ def __getattr__(name: str) -> Any:
         if error.name != "zenoh":
             raise
         raise ImportError(
-            f"{name} needs zenoh, which is not installed: pip install 'anchorflow[zenoh]', or in a "
-            "checkout pip install -e '.[zenoh]'"
+            f"{name} needs zenoh, which is not installed: {how_to_install('zenoh')}"
         ) from error

@@ -44,6 +44,11 @@ class AbsentError(UsageError, LookupError):
     """The answer lacks what was read of it."""
 
 
+def how_to_install(extra: str) -> str:
+    """Return the command that installs an extra, for a message; in a checkout it stays editable."""
+    return f"pip install 'anchorflow[{extra}]', in a checkout pip install -e '.[{extra}]'"
+
+
 class RequestError(AnchorFlowError):
     """A refused request; `field` is the JSON path of the wrong field, or None.
 

@@ -170,7 +170,7 @@ def test_drawing_names_its_extra(tmp_path: Path) -> None:
     assert answer.returncode == 1
     assert answer.stderr == (
         "anchorflow data inspect --out needs matplotlib.axes, which is not installed: "
-        "pip install 'anchorflow[plot]'\n"
+        "pip install 'anchorflow[plot]', in a checkout pip install -e '.[plot]'\n"
     )
 
 

@@ -41,7 +41,7 @@ def test_a_base_install_names_the_extra_in_one_line(command: str) -> None:
     assert answer.returncode == 1
     assert answer.stderr == (
         f"anchorflow {command} needs typer, which is not installed: "
-        "pip install 'anchorflow[service]'\n"
+        "pip install 'anchorflow[service]', in a checkout pip install -e '.[service]'\n"
     )
 
 

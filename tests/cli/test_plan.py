@@ -144,6 +144,26 @@ def test_a_layer_that_cannot_be_read_is_one_line(
     assert words in " ".join(said.split())
 
 
+def test_an_end_off_the_map_and_a_lone_heading_are_said(map_file: Path) -> None:
+    asked = ("plan", "--map", map_file, "--start=0,0")
+    off = " ".join(failure(*asked, "--goal=300,0").split())
+    assert "goal: expected a place on the map" in off
+    lone = " ".join(failure(*asked, "--goal=3,0,1.5").split())
+    assert "expected a heading in both" in lone
+
+
+def test_a_map_too_large_for_a_request_gets_wider_cells(
+    tmp_path: Path, requests: list[AnchorRequest], capsys: pytest.CaptureFixture[str]
+) -> None:
+    large = write_map(tmp_path, np.full((900, 900), 254, np.uint8), (0.0, 0.0))
+    succeed("plan", "--map", large, "--start=2,2", "--goal=83,83")
+
+    (request,) = requests
+    assert request.cost_map.resolution == pytest.approx(0.3)
+    assert request.cost_map.data.shape[-1] <= 512
+    assert "cells of 0.3 m a side are planned on" in " ".join(capsys.readouterr().err.split())
+
+
 PEOPLE = {"position": [[1, -1]], "velocity": [[0, 0.5]], "radius": [0.3], "growth": 0.1}
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -367,6 +368,41 @@ def test_a_window_that_misses_the_ends_is_refused(size_m: float) -> None:
         map_window(empty_map(resolution=0.1), np.full(2, 30.0), np.full(2, 32.0), size_m=size_m)
 
 
-def test_a_window_with_too_many_cells_is_refused() -> None:
-    with pytest.raises(WindowError, match=r"at most 25\.6 m \(512 cells of 0\.05 m\)"):
-        map_window(empty_map(resolution=0.05), np.full(2, 5.0), np.full(2, 45.0), size_m=None)
+def test_a_window_with_too_many_cells_gets_wider_ones() -> None:
+    start, goal = np.full(2, 5.0), np.full(2, 45.0)
+    window = map_window(empty_map(resolution=0.05), start, goal, size_m=None)
+
+    assert window.resolution == pytest.approx(0.15)
+    assert window.occupancy.shape == (418, 418)  # of 62.6 m
+    side = window.occupancy.shape[0] * window.resolution
+    assert_allclose(window.origin + side / 2, [25.0, 25.0], atol=0.05)
+    assert not window.occupancy[100:300, 100:300].any()
+
+
+@pytest.mark.parametrize(
+    ("unknown_occupancy", "dearest"),
+    [(1.0, [[100, -1], [60, -1]]), (0.0, [[100, 60], [60, -1]])],
+)
+def test_wider_cells_are_the_dearest_of_those_they_cover(
+    unknown_occupancy: float, dearest: list[list[int]]
+) -> None:
+    values = np.array([[100, -1, -1, 60], [0, 0, 0, 0], [60, 0, -1, -1], [0, 0, -1, -1]], np.int8)
+    fine = RosMap(
+        values=values,
+        resolution=0.5,
+        origin=np.array([-1.0, 2.0]),
+        unknown_occupancy=unknown_occupancy,
+    )
+    coarse = fine.coarser(2)
+
+    assert_array_equal(coarse.values[:, :], dearest)
+    assert coarse.resolution == 1.0
+    assert_allclose(coarse.origin, fine.origin)
+
+
+def test_an_end_off_the_map_is_said_to_be_off_it() -> None:
+    ends = np.array([70.0, 30.0]), np.array([58.0, 30.0])
+    said = r"start: expected a place on the map \(x from 0 to 60 m .*\), got \(70, 30\) m"
+    with pytest.raises(WindowError, match=said):
+        map_window(empty_map(resolution=0.1), *ends)
+    map_window(replace(empty_map(resolution=0.1), unknown_occupancy=0.0), *ends)

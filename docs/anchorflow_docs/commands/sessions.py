@@ -289,25 +289,24 @@ WALKTHROUGH = (
             "pip install -e '.[bench]'",
             "pip install -e '.[robot]'",
             "pip install -e '.[crowds]'",
-            "pip install .",
-            "pip install '.[zenoh]'",
-            "pip install '.[service,zenoh]'",
-            "pip install '.[service]'",
-            "pip install '.[service,otel]'",
-            "pip install '.[service,language]'",
-            "pip install '.[plot]'",
+            "pip install -e .",
+            "pip install -e '.[zenoh]'",
+            "pip install -e '.[service,zenoh]'",
+            "pip install -e '.[service,otel]'",
+            "pip install -e '.[service,language]'",
+            "pip install -e '.[plot]'",
             "pip install playwright",
         ),
     ),
     Session(
         "a robot",
         (
-            "pip install '.[robot]'",
+            "pip install -e '.[robot]'",
             "anchorflow serve",
             "python examples/robot/robot.py --record robot.gif",
         ),
     ),
-    Session("on Ray Serve", ("pip install '.[ray]'", *ON_RAY)),
+    Session("on Ray Serve", ("pip install -e '.[ray]'", *ON_RAY)),
 )
 
 BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "make walkthrough")

@@ -21,6 +21,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from anchorflow_client.errors import how_to_install
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_training.dataset import DatasetError
 
@@ -241,7 +242,7 @@ def _open_h5(path: Path) -> Arrays:
         import h5py
     except ModuleNotFoundError as error:
         raise DatasetError(
-            f"{path}: needs h5py, which is not installed: pip install 'anchorflow[train]'"
+            f"{path}: needs h5py, which is not installed: {how_to_install('train')}"
         ) from error
     with h5py.File(path, "r") as opened:
         arrays: Arrays = {

@@ -21,7 +21,7 @@ import numpy as np
 from anchorflow_client.contract import AnchorRequest, ResolvedRequest
 from anchorflow_client.contract.fields import MAX_PIXELS
 from anchorflow_client.contract.inputs import TEXT
-from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.errors import InvalidRequest, how_to_install
 from anchorflow_client.sensors import resized
 from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.bundle.manifest import Manifest, VisionLanguageEntry
@@ -225,7 +225,7 @@ def _tokenizer(bundle: Bundle) -> Tokenizer:
         from tokenizers import Tokenizer
     except ModuleNotFoundError as error:
         missing = "needs tokenizers, which is not installed"
-        raise bundle.fault(f"{missing}: pip install 'anchorflow[language]'") from error
+        raise bundle.fault(f"{missing}: {how_to_install('language')}") from error
     path = bundle.file_path(TOKENIZER)
     try:
         return Tokenizer.from_str(path.read_text("utf-8"))
