@@ -93,12 +93,11 @@ class RosMap(RosGrid):
         dearer than all else if it counts as occupied, and cheaper otherwise.
         """
         (height, width), step = self.values.shape, int(factor)
-        values = self.values[:, :].astype(np.int16)
-        unknown = LETHAL_PERCENT - 1 if self.unknown_occupancy else -1
-        values = np.where(values == LETHAL_PERCENT, LETHAL_PERCENT, np.minimum(values, unknown - 1))
-        values[self.unknown] = unknown
-        blocks = values.reshape(height // step, step, width // step, step).max(axis=(1, 3))
-        blocks[blocks == unknown] = -1
+        price = 2 * self.values[:, :].astype(np.int16)
+        unknown = 2 * LETHAL_PERCENT - 1 if self.unknown_occupancy else -1
+        price[self.unknown] = unknown
+        dearest = price.reshape(height // step, step, width // step, step).max(axis=(1, 3))
+        blocks = np.where(dearest == unknown, -1, dearest // 2)
         return replace(self, values=blocks.astype(np.int8), resolution=step * self.resolution)
 
 

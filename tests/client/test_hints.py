@@ -50,7 +50,7 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "0 to 254": (on((GRID[None] + 254).astype(np.uint8)), "CostMap.from_nav2 reads the former"),
     "NaN": (on(GRID[None] * np.nan), "layers may mark unknown cells so: choose a value"),
     "no channel": (on(GRID), "a single channel is [grid], [1,H,W]"),
-    "channels last": (on(np.zeros((64, 64, 3))), "are the channels last? numpy.moveaxis"),
+    "channels last": (on(np.zeros((64, 64, 3))), "are the channels last? They come before"),
     "a place for a start": ({"x_curr": [0, 0]}, "after the position comes the velocity and the"),
     "a place for a goal": ({"x_goal": [1, 0]}, "after the position comes the velocity: zeros"),
     "a start without acceleration": ({"x_curr": [0, 0, 0, 0]}, "the acceleration follows"),

@@ -61,7 +61,7 @@ def map_shape_hint(shape: tuple[int, ...]) -> str:
     if len(shape) == 2:
         return "; a single channel is [grid], [1,H,W]"
     if len(shape) in (3, 4) and shape[-1] <= MOST_CHANNELS < min(shape[-3:-1]):
-        return "; are the channels last? numpy.moveaxis(data, -1, -3) puts them first"
+        return "; are the channels last? They come before rows and columns"
     return ""
 
 

@@ -10,6 +10,7 @@ from fastapi import FastAPI
 from starlette.middleware import Middleware
 
 from anchorflow_service.http.anchors import anchors_router
+from anchorflow_service.http.api_page import api_router
 from anchorflow_service.http.connections import (
     SLOTS,
     ConnectionLimits,
@@ -74,7 +75,7 @@ def create_app(
         summary="Smooth trajectories worth trying, from a map, a state and a goal.",
         lifespan=lifespan,
         redirect_slashes=False,  # a redirect would not be the contract's error JSON
-        docs_url=None,  # FastAPI's pages load their scripts from elsewhere, and name their versions
+        docs_url=None,  # FastAPI's page loads its scripts from elsewhere; `api_page` has another
         redoc_url=None,
         # The first is outermost.
         middleware=[
@@ -90,6 +91,7 @@ def create_app(
     if repository is not None:
         app.include_router(repository_router(repository))
     app.include_router(page_router(service))
+    app.include_router(api_router())
     app.include_router(metrics_router(metrics))
     install_error_handlers(app)
     document(app)

@@ -59,11 +59,6 @@ def test_an_answer_names_no_library_and_no_place(
             assert each.version not in said
 
 
-def test_there_are_no_pages_that_load_scripts_from_elsewhere(service: Any) -> None:
-    for path in ("/docs", "/redoc"):
-        assert service.request("GET", path).status_code == 404
-
-
 def test_the_head_of_an_answer_names_no_server(app: FastAPI, serve: Callable[..., Any]) -> None:
     port = serve(app).port
     with socket.create_connection(("127.0.0.1", port)) as connection:
