@@ -21,7 +21,23 @@ WALLS: dict[str, set[str]] = {
     "anchorflow_client": {"numpy"},
     "anchorflow_trajectory": {"numba", "numpy"},
     "anchorflow_control": {"anchorflow_client", "anchorflow_trajectory", "numba", "numpy"},
-    "anchorflow_ros": {"anchorflow_client", "anchorflow_control", "numpy"},
+    "anchorflow_ros": {
+        "anchorflow_client",
+        "anchorflow_control",
+        "numpy",
+        # ROS, whose packages are named after their messages
+        "builtin_interfaces",
+        "diagnostic_msgs",
+        "geometry_msgs",
+        "nav_msgs",
+        "rcl_interfaces",
+        "rclpy",
+        "sensor_msgs",
+        "std_msgs",
+        "std_srvs",
+        "trajectory_msgs",
+        "visualization_msgs",
+    },
     "anchorflow_driving": {"anchorflow_client", "numpy", "scipy"},
     "anchorflow_service": {
         "anchorflow_client",
@@ -98,6 +114,9 @@ EXCEPTIONS = {
     "anchorflow_client.base_client": {"typing_extensions"},  # read by type checkers alone
     "anchorflow_client.ros_map": {"PIL", "yaml"},
     "anchorflow_client.zenoh_client": {"zenoh"},
+    "anchorflow_ros.services": {"anchorflow_service"},  # a service in the node's own process
+    "anchorflow_ros.simulation": {"anchorflow_benchmarks", "scipy"},
+    "anchorflow_ros.simulator": {"anchorflow_benchmarks", "rosgraph_msgs"},
     "anchorflow_driving.importers.argoverse": {"pyarrow"},
     "anchorflow_driving.sensors.bev": {"PIL"},
     "anchorflow_driving.cooperative": {"PIL", "moderngl"},

@@ -4,7 +4,12 @@ frames      poses in the plane, and transforms
 odometry    the robot's state from nav_msgs/Odometry
 maps        grids, their updates, and the cost map of a plan
 inputs      goal, footprint, speed limit and tracks
+scene       the newest of all these, or why there is none
+driver      the decision at each tick: planner, controller, braking
+parameters  the table of the node's parameters
+outputs     plans, commands and faults as messages
+node        the lifecycle node; `simulator` is a robot for it
 
-These need numpy alone; the modules beside them need `rclpy`, from a robot's own ROS or by
-`pip install 'anchorflow[ros]'`.
+`outputs`, `node` and `simulator` need `rclpy` and ROS's messages, from a robot's own ROS or by
+`pip install 'anchorflow[ros]'`; the others need numpy and numba.
 """

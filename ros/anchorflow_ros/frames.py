@@ -21,7 +21,7 @@ from anchorflow_client.errors import InvalidRequest
 Array = NDArray[np.float64]
 
 UNIT_LENGTH = 0.1
-"""By which the length of a quaternion may differ from 1."""
+"""The length of a quaternion may differ from 1 by this much."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def yaw_of(orientation: Any, field: str) -> float:
     """Return the yaw in rad of a geometry_msgs/Quaternion, which may also tilt a little.
 
     Raises:
-        InvalidRequest: its length is not 1, such as that of a message that nobody filled.
+        InvalidRequest: its length is not 1, as in a message that was never filled.
     """
     x, y, z, w = (float(getattr(orientation, axis)) for axis in "xyzw")
     if not abs(math.hypot(x, y, z, w) - 1.0) <= UNIT_LENGTH:
@@ -85,7 +85,7 @@ def yaw_of(orientation: Any, field: str) -> float:
 
 
 class Frames(Protocol):
-    """Where one frame lies in another."""
+    """Transforms between frames."""
 
     def between(self, target: str, source: str, *, at: float) -> Pose:
         """Return the transform that brings poses of `source` into `target` at a time in s.

@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 SPEED = Interval(0.0, 100.0, "m/s")
 PERCENT = Interval(0.0, 100.0, "%")
 TRACK_FIELDS = ("x", "y", "vx", "vy", "radius")
-"""Of the points of the sensor_msgs/PointCloud2 that holds tracks; m and m/s."""
+"""Fields of each point of the sensor_msgs/PointCloud2 that holds tracks; m and m/s."""
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's types by the `datatype` of a sensor_msgs/PointField."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """Where the robot shall stop, in a frame."""
+    """A pose at which the robot has to stop."""
 
     frame_id: str
     pose: Pose
@@ -153,7 +153,7 @@ def points_of(message: Any) -> dict[str, Array]:
     """Return the scalar fields of a sensor_msgs/PointCloud2, each [M], by name.
 
     Raises:
-        InvalidRequest: names `tracks`, if the data do not hold so many points.
+        InvalidRequest: names `tracks`, if the data hold fewer points than it says.
     """
     count, step = int(message.width) * int(message.height), int(message.point_step)
     data = np.frombuffer(bytes(message.data), np.uint8)

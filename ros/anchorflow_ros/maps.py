@@ -22,7 +22,7 @@ STEP_SHARE = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class MapMeaning:
-    """What the values of a grid mean; see `CostMap.from_occupancy_grid`."""
+    """The meaning of a grid's values; see `CostMap.from_occupancy_grid`."""
 
     inflated: bool = True
     """True: a cost map, in which 100 is an obstacle and less is soft cost. False: probabilities."""

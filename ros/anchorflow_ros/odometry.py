@@ -27,14 +27,16 @@ STRAIGHT = 1e-6
 """rad, the least turn that is driven as an arc."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RobotMotion:
-    """Where the robot is at a moment, and how it moves."""
+    """The robot's pose at a moment, and its motion."""
 
     stamp: float
     """s"""
     frame_id: str
-    """In which the pose is given."""
+    """The frame of the pose."""
+    base_frame: str
+    """The robot's own frame."""
     pose: Pose
     twist: Array
     """[3] forward and left in m/s, turn rate in rad/s, in the robot's own frame."""
@@ -93,7 +95,7 @@ class OdometryReader:
 
         Args:
             base_frame: the frame that is the robot; by default the `child_frame_id` of messages.
-            frames: knows `base_frame` in the child frame, where they differ.
+            frames: knows `base_frame` in the child frame, if they differ.
         """
         self._base_frame, self._frames = base_frame, frames
         self._last: RobotMotion | None = None
@@ -121,11 +123,15 @@ class OdometryReader:
             pose = pose @ mount
             moved = rates[:2] + rates[2] * np.array([-mount.y, mount.x])
             rates[:2] = mount.inverse.turn(moved)
-        motion = RobotMotion(
-            stamp, message.header.frame_id, pose, rates, self._acceleration(stamp, rates)
+        self._last = RobotMotion(
+            stamp=stamp,
+            frame_id=message.header.frame_id,
+            base_frame=self._base_frame or message.child_frame_id,
+            pose=pose,
+            twist=rates,
+            acceleration=self._acceleration(stamp, rates),
         )
-        self._last = motion
-        return motion
+        return self._last
 
     def _mount(self, child_frame: str, stamp: float) -> Pose:
         """Return the robot's pose in the frame in which the twist is given."""

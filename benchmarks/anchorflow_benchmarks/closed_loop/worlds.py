@@ -214,10 +214,7 @@ def world_of_scene(scene: FamilyScene, name: str) -> World:
     length = way_between_posts(scene)
     if not np.isfinite(length):
         raise BenchmarkError(f"{name}: expected a way for a robot of {PASSAGE} m, got none")
-    fenced = np.pad(scene.occupied, 1, constant_values=True)
-    inner = np.asarray(binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1), bool)
-    rows, columns = np.nonzero(fenced & ~inner)
-    posts = scene.origin + scene.resolution * (np.stack([columns, rows], 1) - 0.5)
+    posts = posts_of_cells(scene.occupied, scene.resolution, scene.origin)
     start, goal = scene.x_curr[:2].astype(np.float64), scene.x_goal[:2].astype(np.float64)
     ahead = goal - start
     world = World(
@@ -231,6 +228,17 @@ def world_of_scene(scene: FamilyScene, name: str) -> World:
     if (room := room_at_ends(world)) < 0.0:
         raise BenchmarkError(f"{name}: expected {PASSAGE} m round both ends, {-room:.2f} m lack")
     return world
+
+
+def posts_of_cells(occupied: NDArray[np.bool_], resolution: float, origin: Array) -> Array:
+    """Return [M, 2] m, the centres of the occupied cells [H, W] and of a fence round the grid.
+
+    Cells enclosed by others are left out; `origin` [2] m is the outer corner of cell (0, 0).
+    """
+    fenced = np.pad(occupied, 1, constant_values=True)
+    inner = np.asarray(binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1), bool)
+    rows, columns = np.nonzero(fenced & ~inner)
+    return origin + resolution * (np.stack([columns, rows], 1) - 0.5)
 
 
 def way_between_posts(scene: FamilyScene) -> float:
