@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -126,17 +127,31 @@ def picture_option(what: str) -> Any:
     return typer.Option(parser=picture_path, metavar="PATH", help=f"{what}, {suffixes}.")
 
 
-def vector_option(metavar: str, help_text: str, interval: Interval) -> Any:
+ANGLE = "HEADING"
+"""A part of a metavar that is in rad, or in degrees with `deg`."""
+
+
+def _number(text: str, *, is_angle: bool) -> float:
+    if is_angle and text.endswith("deg"):
+        return math.radians(float(text.removesuffix("deg")))
+    return float(text)
+
+
+def vector_option(metavar: str, help_text: str, interval: Interval, **settings: Any) -> Any:
     """Return an option for numbers such as `--start 1.5,-2`, one per part of the metavar.
 
     The parts in brackets are optional together; each number is checked against the interval.
     """
     most, least = (len(part.split(",")) for part in (metavar, metavar.partition("[")[0]))
     counts = f"{least}" if least == most else f"{least} or {most}"
+    names = re.findall(r"\w+", metavar)
 
     def vector(text: str) -> Vector:
+        parts = enumerate(text.split(","))
         try:
-            values = np.array([float(part) for part in text.split(",")])
+            values = np.array(
+                [_number(part, is_angle=names[k : k + 1] == [ANGLE]) for k, part in parts]
+            )
         except ValueError:
             values = np.empty(0)
         if values.size not in (least, most) or not np.isfinite(values).all():
@@ -145,20 +160,22 @@ def vector_option(metavar: str, help_text: str, interval: Interval) -> Any:
             raise typer.BadParameter(f"expected numbers {interval}, got {text!r}")
         return values
 
-    return typer.Option(parser=vector, metavar=metavar, help=help_text)
+    return typer.Option(parser=vector, metavar=metavar, help=help_text, **settings)
 
 
-PLACE, RATE = "X,Y[,HEADING]", "VX,VY[,RATE]"
+PLACE, RATE = f"X,Y[,{ANGLE}]", "VX,VY[,RATE]"
 
 StartOption = Annotated[
     Vector,
     vector_option(
-        PLACE, "Start [m], in the map's frame; heading [rad] where the model has one.", COORDINATE
+        PLACE,
+        "Start [m], in the map's frame; for a robot with a heading also that, in rad, or in "
+        "degrees as 90deg.",
+        COORDINATE,
     ),
 ]
 GoalOption = Annotated[
-    Vector,
-    vector_option(PLACE, "Goal [m], likewise; with a heading the anchors end in it.", COORDINATE),
+    Vector, vector_option(PLACE, "Goal [m], likewise; without a heading any will do.", COORDINATE)
 ]
 StartVelocityOption = Annotated[
     Vector | None, vector_option(RATE, "Velocity at the start [m/s, rad/s]; default 0.", VELOCITY)
@@ -295,5 +312,12 @@ def end_states(
 ) -> tuple[Vector, Vector]:
     """Return x_curr [3D] and x_goal [2D], at rest by default, with zero acceleration."""
     rest = np.zeros_like(start)
-    x_curr = np.concatenate([start, rest if start_velocity is None else start_velocity, rest])
-    return x_curr, np.concatenate([goal, rest if goal_velocity is None else goal_velocity])
+    x_curr = np.concatenate([start, _moving(start_velocity, rest), rest])
+    return x_curr, np.concatenate([goal, _moving(goal_velocity, rest)])
+
+
+def _moving(velocity: Vector | None, rest: Vector) -> Vector:
+    """Return a velocity, with a turn rate of 0 if a state with a heading has none."""
+    if velocity is None:
+        return rest
+    return np.append(velocity, rest[velocity.size :])

@@ -12,6 +12,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from anchorflow_cli.body_options import (
+    BodyChoice,
+    FootprintOption,
+    GoalToleranceOption,
+    KinematicsOption,
+    OmegaMaxOption,
+    ReverseOption,
+    TurningRadiusOption,
+)
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import (
     LAYERS,
@@ -62,6 +71,11 @@ def plan(
     v_max: VMaxOption = None,
     a_max: AMaxOption = None,
     radius: RadiusOption = None,
+    footprint: FootprintOption = None,
+    kinematics: KinematicsOption = None,
+    min_turning_radius: TurningRadiusOption = None,
+    omega_max: OmegaMaxOption = None,
+    reverse: ReverseOption = False,
     horizon: HorizonOption = None,
     window: Annotated[
         float | None, typer.Option(help="Side of the map's window [m]; by the way's length.")
@@ -70,13 +84,7 @@ def plan(
     clear_start: Annotated[
         bool, typer.Option("--clear-start", help="Free the cells under the robot at the start.")
     ] = False,
-    goal_tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="Distance [m] at which another place may stand for an occupied goal.",
-            show_default="exact",
-        ),
-    ] = None,
+    goal_tolerance: GoalToleranceOption = None,
     out: Annotated[Path | None, picture_option("Picture to draw")] = None,
     url: Annotated[
         str | None, url_option("Ask this server instead of the engine in-process.")
@@ -99,6 +107,9 @@ def plan(
             "keeps them)",
             err=True,
         )
+    wheels = {"min_turning_radius": min_turning_radius, "omega_max": omega_max, "reverse": reverse}
+    body = BodyChoice.of(footprint, kinematics, **wheels)
+    start, goal, heading_counts = body.ends(start, goal)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     request = AnchorRequest.build(
         cost_map=CostMap.build(layers_of(ros_map, seen, layer), seen.resolution, seen.origin),
@@ -112,13 +123,16 @@ def plan(
         v_max=v_max,
         a_max=a_max,
         robot_radius=radius,
+        footprint=body.footprint,
+        kinematics=body.kinematics,
         horizon_s=horizon,
         clear_start=clear_start,
-        goal_tolerance=None if goal_tolerance is None else {"position": goal_tolerance},
+        goal_tolerance=body.tolerance(goal_tolerance, heading_counts=heading_counts),
     )
     opened = AnchorClient(url) if url else LocalClient.of(bundle or DEFAULT_BUNDLE)
     with opened as client:
         anchors = client.plan_request(request)
+        outline = body.outline(client, anchors, radius) if out else None
     Console(markup=False).print(table(anchors))
     if anchors.reason is not None:
         typer.echo(anchors.reason)
@@ -126,7 +140,7 @@ def plan(
         with needs_extra("plot", who="anchorflow plan --out"):
             from anchorflow_cli.plots import draw_anchors
         ends = {"start": start[:2], "goal": goal[:2]}
-        draw_anchors(anchors, seen, path=out, obstacles=obstacles, **ends)
+        draw_anchors(anchors, seen, path=out, obstacles=obstacles, outline=outline, **ends)
 
 
 def layers_of(

@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
+from anchorflow_cli.body_plots import draw_body
 from anchorflow_cli.options import Vector
 from anchorflow_client.contract import AnchorBatch, Obstacles
 from anchorflow_client.errors import AnchorFlowError
@@ -37,11 +38,13 @@ def draw_anchors(
     goal: Vector,
     path: Path,
     obstacles: Obstacles | None = None,
+    outline: Vector | None = None,
 ) -> None:
     """Write a picture of a map [H, W] and the anchors [N, T, D] on it, in the format of `path`.
 
     Colour is the score, unsafe anchors are dashed, and the best one is outlined. With obstacles,
-    colour is the time, along the anchors and along the tracks of what moves. The title has the
+    colour is the time, along the anchors and along the tracks of what moves. With an outline
+    [K, 2] m, anchors are poses, and the robot is drawn along the best one. The title has the
     durations of all, the legend that of the best.
 
     Raises `PlotError` if `path` cannot be written or its suffix is not a picture's.
@@ -53,6 +56,8 @@ def draw_anchors(
         lines, label, extend = draw_lines(axes, anchors), "score (higher is better)", "min"
     else:
         lines, label, extend = draw_times(axes, anchors, obstacles), "time [s]", "neither"
+    if outline is not None:
+        draw_body(axes, anchors, outline)
     draw_ends(axes, start, goal, sizes=(12.0, 12.0), named=True, markeredgecolor="white")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_title(f"{safe_text(anchors)}, {durations_text(anchors)}", loc="left")

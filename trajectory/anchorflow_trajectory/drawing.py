@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import ArrayLike, NDArray
@@ -56,6 +56,28 @@ def draw_paths(axes: Axes, paths: Array, colours: Any = None, **look: Any) -> Li
     lines = LineCollection(list(paths[..., :2]), colors=colours, **look)
     axes.add_collection(lines)
     return lines
+
+
+def draw_outlines(axes: Axes, poses: Array, corners: Array, **look: Any) -> PolyCollection:
+    """Polygons of a robot at poses [K, 3], x and y [m] and heading [rad], each with a nose.
+
+    Args:
+        axes: drawn on.
+        poses: of the robot's origin.
+        corners: [C, 2] m, its outline about that origin, x forward.
+        look: as matplotlib's `PolyCollection` takes it.
+    """
+    look = {"facecolors": "none", "linewidths": 1.0} | look
+    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    turn = np.array([[cosine, -sine], [sine, cosine]]).transpose(2, 0, 1)
+    placed = poses[:, None, :2] + np.asarray(corners) @ turn.transpose(0, 2, 1)
+    outlines = PolyCollection(list(placed), **look)
+    axes.add_collection(outlines)
+    front = float(np.max(np.asarray(corners)[:, 0]))
+    noses = poses[:, None, :2] + np.array([[0.0, 0.0], [front, 0.0]]) @ turn.transpose(0, 2, 1)
+    look = {key: value for key, value in look.items() if key != "facecolors"}
+    axes.add_collection(LineCollection(list(noses), colors=look.pop("edgecolors", None), **look))
+    return outlines
 
 
 def draw_ends(
