@@ -92,6 +92,9 @@ def plan(
     bundle: BundleOption = None,
 ) -> None:
     """Plan on a ROS map; print a table of the anchors and, with --out, draw them."""
+    wheels = {"min_turning_radius": min_turning_radius, "omega_max": omega_max, "reverse": reverse}
+    body = BodyChoice.of(footprint, kinematics, **wheels)
+    start, goal, heading_counts = body.ends(start, goal)
     if len(start) != len(goal):
         raise typer.BadParameter(
             "--start and --goal: expected a heading in both, for a model that plans it, or in none"
@@ -107,9 +110,6 @@ def plan(
             "keeps them)",
             err=True,
         )
-    wheels = {"min_turning_radius": min_turning_radius, "omega_max": omega_max, "reverse": reverse}
-    body = BodyChoice.of(footprint, kinematics, **wheels)
-    start, goal, heading_counts = body.ends(start, goal)
     x_curr, x_goal = end_states(start, goal, start_velocity, goal_velocity)
     request = AnchorRequest.build(
         cost_map=CostMap.build(layers_of(ros_map, seen, layer), seen.resolution, seen.origin),
