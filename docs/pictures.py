@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from anchorflow_docs.pictures import answers, drive, stages
+from anchorflow_docs.pictures import answers, bodies, drive, stages
 from anchorflow_docs.pictures.scenes import Stage
 from anchorflow_docs.pictures.theme import Drawing, save
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -29,6 +29,7 @@ PICTURES: dict[str, Callable[[Stage], Drawing]] = {
     "styles": answers.styles,
     "classes": answers.classes,
     "warm_start": answers.warm_start,
+    "bodies": bodies.bodies,
     "drive": drive.drive,
 }
 

@@ -26,14 +26,11 @@ def draw_body(axes: Axes, anchors: AnchorBatch, corners: Floats) -> None:
     poses, velocities = anchors.trajectories[best], anchors.velocities[best]
     lasts = float(anchors.durations[best])
     every = max(EVERY_S, lasts / MOST_OUTLINES)
+    drawn, driven = outlines_at(poses, velocities, lasts, every=every)
     gears = gears_of(poses, velocities)
-    times = np.linspace(0.0, lasts, len(poses))
-    at = np.arange(0.0, lasts + every, every).clip(max=lasts)
-    nearest = np.abs(times - at[:, None]).argmin(1)
-    drawn = np.stack([np.interp(at, times, part) for part in poses.T], 1)
     words = {1: "forwards", -1: "backwards", 0: "on the spot"}
     for gear, colour in {1: FORWARDS, -1: BACKWARDS, 0: ON_SPOT}.items():
-        chosen = gears[nearest] == gear
+        chosen = driven == gear
         if not chosen.any():
             continue
         draw_outlines(axes, drawn[chosen], corners, edgecolors=colour, alpha=0.6, zorder=3)
@@ -41,6 +38,17 @@ def draw_body(axes: Axes, anchors: AnchorBatch, corners: Floats) -> None:
         axes.plot([], [], "s", color=colour, fillstyle="none", markersize=10.0, label=label)
     _mark(axes, poses[cusps(gears)], "D", BACKWARDS, "cusp")
     _mark(axes, poses[turns(gears)], "o", ON_SPOT, "turn on the spot")
+
+
+def outlines_at(
+    poses: Floats, velocities: Floats, lasts: float, *, every: float
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Return the poses [K, 3] `every` s along an anchor and at its end, and their gears [K]."""
+    times = np.linspace(0.0, lasts, len(poses))
+    at = np.arange(0.0, lasts + every, every).clip(max=lasts)
+    nearest = np.abs(times - at[:, None]).argmin(1)
+    drawn = np.stack([np.interp(at, times, part) for part in poses.T], 1)
+    return drawn, gears_of(poses, velocities)[nearest]
 
 
 def gears_of(poses: Floats, velocities: Floats) -> NDArray[np.int64]:

@@ -27,7 +27,10 @@ BRANCH = re.compile(r"^[│├└─ ]*[├└]─ (\w+)", re.MULTILINE)
 ROBOT_RADIUS = 0.25  # m, the default bundle's
 
 
-@pytest.mark.parametrize("name", ["index.md", "clients.md", "planner.md", "nav2.md", "people.md"])
+@pytest.mark.parametrize(
+    "name",
+    ["index.md", "clients.md", "planner.md", "nav2.md", "people.md", "bodies.md"],
+)
 def test_the_programs_of_a_page_run(name: str, url_of_both: str) -> None:
     seen: dict[str, Any] = {"__name__": "__main__"}
     programs = programs_of(DOCS / name)

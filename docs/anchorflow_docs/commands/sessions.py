@@ -195,7 +195,12 @@ QUICK = (
     ),
     Session(
         "a map",
-        (".venv/bin/anchorflow plan --map map.yaml --start 2.0,3.5 --goal 9.0,6.0 --out plan.png",),
+        (
+            ".venv/bin/anchorflow plan --map map.yaml --start 2.0,3.5 --goal 9.0,6.0"
+            " --out plan.png",
+            "anchorflow plan --map map.yaml --start 2.0,3.5,90deg --goal 9.0,6.0,0"
+            " --footprint 0.9x0.62 --kinematics differential --out plan.png",
+        ),
         (ros_map,),
     ),
     Session(
