@@ -425,7 +425,7 @@ LIMITS: dict[str, Interval] = {
     "horizon_s": HORIZON,
 }
 """The limits that a request may state, within the ranges of the card."""
-BODY_OPTIONS = frozenset(("footprint", "kinematics"))
+BODY_OPTIONS = ("footprint", "kinematics")
 """The options that ask for poses: x, y and heading."""
 MAP_OPTIONS = (
     *LIMITS,

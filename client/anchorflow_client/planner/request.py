@@ -243,7 +243,7 @@ def build_request(
         passage_m=passage_m,
     )
     warm_start = None
-    if in_use is not None and not BODY_OPTIONS & seen.options.keys():  # poses are not sampled
+    if in_use is not None and seen.options.keys().isdisjoint(BODY_OPTIONS):  # poses are not sampled
         warm_start = in_use.warm_start(
             seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
         )

@@ -172,7 +172,7 @@ class BodyPlanner:
             Guide(left, float(origin[0]), float(origin[1]), fine),
             np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
             start,
-            BACKWARD if self._first_speed < 0.0 else FORWARD,
+            self._first_gear,
             0.5 * self._first_speed**2 / (0.7 * motion.a_max) if self._moves else 0.0,
             Target(self._goal, self._heading_counts),
             most,
@@ -287,6 +287,7 @@ class BodyPlanner:
         driven = _Driven.empty(count, self.steps)
         timed = partial(self._drive, table, gears, begins, self._last_speed(way[-1]))
         keeps = timed(driven, np.arange(count), paces, 0.0)
+        keeps &= not self._moves or way[0].gear == self._first_gear
         driven.room[:] = room
         driven.safe[:] = is_safe & keeps
         self._pass_movers(driven, timed, paces, certified)
@@ -466,6 +467,10 @@ class BodyPlanner:
         """m/s along the heading; a robot on wheels has no other."""
         heading, velocity = self.scene.x_curr[2], self.scene.x_curr[3:5]
         return float(velocity[0] * np.cos(heading) + velocity[1] * np.sin(heading))
+
+    @property
+    def _first_gear(self) -> int:
+        return BACKWARD if self._first_speed < 0.0 else FORWARD
 
     @property
     def _moves(self) -> bool:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.bodies.outline import Ground, touches
-from anchorflow_trajectory.bodies.wheels import Moves
+from anchorflow_trajectory.bodies.wheels import BACKWARDS, Moves
 from anchorflow_trajectory.compiled import compiled
 
 GREED = 1.4  # factor on what is left
@@ -25,6 +25,7 @@ MOST_NODES = 60_000
 ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
 LEG = 0.06  # m or a fifth of a rad between two poses that are tested on the way to a goal
 NEAR = 3.0  # m from the goal within which it is tried directly
+FURTHER = 150  # poses expanded after a first way
 EMPTY = -1
 
 
@@ -122,8 +123,13 @@ def find_way(
     count, waiting, expanded = 1, 1, 0
     heap_cost[0], heap_node[0] = 0.0, 0
     done = np.zeros(MOST_NODES, np.bool_)
-    shot, pose = np.empty((0, 4)), np.empty(3)
-    while waiting and expanded < most and count < MOST_NODES - len(moves.gears) - 1:
+    best, best_cost, best_node, enough = np.empty((0, 4)), np.inf, -1, most
+    while (
+        waiting
+        and expanded < enough
+        and heap_cost[0] < best_cost
+        and count < MOST_NODES - len(moves.gears) - 1
+    ):
         node = heap_node[0]
         waiting = _pop(heap_cost, heap_node, waiting)
         if done[node]:
@@ -133,37 +139,67 @@ def find_way(
         at = nodes.poses[node]
         away = np.hypot(at[0] - target.pose[0], at[1] - target.pose[1])
         if away < NEAR or expanded % 8 == 1:
-            shot = _shot(ground, corners, reach, moves, at, nodes.gears[node], target, spans)
+            shot, cost = _shot(ground, corners, reach, moves, at, nodes.gears[node], target, spans)
             stays = nodes.driven[node] >= braking or (
                 len(shot) > 0 and shot[0, 3] == nodes.gears[node]
             )
-            if len(shot) and stays:
-                return _walked(nodes, node, moves, shot), expanded
-        for k in range(len(moves.gears)):
-            changes = moves.gears[k] != nodes.gears[node]
-            if changes and nodes.driven[node] < braking:
-                continue
-            if not _moved(ground, corners, reach, moves.poses[k], at, pose, spans):
-                continue
-            cost = moves.costs[k] + (moves.stop if changes else 0.0)
-            if surcharge.size:
-                cost += moves.lengths[k] * _at(
-                    surcharge, ground.x, ground.y, ground.resolution, pose
-                )
-            cost += nodes.costs[node]
-            nodes.poses[count], nodes.costs[count] = pose, cost
-            nodes.driven[count] = np.inf if changes else nodes.driven[node] + moves.lengths[k]
-            nodes.parents[count], nodes.moves[count] = node, k
-            nodes.gears[count] = moves.gears[k]
-            key = _key(ground, cell, moves.bins, nodes, count)
-            place = _place(keys, key)
-            if keys[place] == key and nodes.costs[held[place]] <= cost + 1e-9:
-                continue
-            keys[place], held[place] = key, count
-            left = _at(guide.left, guide.x, guide.y, guide.resolution, pose)
-            waiting = _push(heap_cost, heap_node, waiting, cost + GREED * left, count)
-            count += 1
-    return np.empty((0, 4)), expanded
+            if len(shot) and stays and nodes.costs[node] + cost < best_cost:
+                best, best_cost, best_node = shot, nodes.costs[node] + cost, node
+                enough = min(enough, expanded + FURTHER)
+        count, waiting = _expand(
+            ground, corners, reach, moves, cell, guide, surcharge, braking, spans,
+            nodes, node, count, keys, held, heap_cost, heap_node, waiting,
+        )  # fmt: skip
+    if best_node < 0:
+        return best, expanded
+    return _walked(nodes, best_node, moves, best), expanded
+
+
+@compiled
+def _expand(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    moves: Moves,
+    cell: float,
+    guide: Guide,
+    surcharge: FloatArray,
+    braking: float,
+    spans: FloatArray,
+    nodes: Nodes,
+    node: int,
+    count: int,
+    keys: NDArray[np.int64],
+    held: NDArray[np.int64],
+    heap_cost: FloatArray,
+    heap_node: NDArray[np.int64],
+    waiting: int,
+) -> tuple[int, int]:
+    """Add the poses that short motions reach from a node; returns how many are known, and wait."""
+    at, pose = nodes.poses[node], np.empty(3)
+    for k in range(len(moves.gears)):
+        changes = moves.gears[k] != nodes.gears[node]
+        if changes and nodes.driven[node] < braking:
+            continue
+        if not _moved(ground, corners, reach, moves.poses[k], at, pose, spans):
+            continue
+        cost = moves.costs[k] + (moves.stop if changes else 0.0)
+        if surcharge.size:
+            cost += moves.lengths[k] * _at(surcharge, ground.x, ground.y, ground.resolution, pose)
+        cost += nodes.costs[node]
+        nodes.poses[count], nodes.costs[count] = pose, cost
+        nodes.driven[count] = np.inf if changes else nodes.driven[node] + moves.lengths[k]
+        nodes.parents[count], nodes.moves[count] = node, k
+        nodes.gears[count] = moves.gears[k]
+        key = _key(ground, cell, moves.bins, nodes, count)
+        place = _place(keys, key)
+        if keys[place] == key and nodes.costs[held[place]] <= cost + 1e-9:
+            continue
+        keys[place], held[place] = key, count
+        left = _at(guide.left, guide.x, guide.y, guide.resolution, pose)
+        waiting = _push(heap_cost, heap_node, waiting, cost + GREED * left, count)
+        count += 1
+    return count, waiting
 
 
 @compiled
@@ -274,8 +310,8 @@ def _shot(
     gear: int,
     target: Target,
     spans: FloatArray,
-) -> NDArray[np.float64]:
-    """The cheapest direct way [P, 4] from a pose to the target that touches nothing, or none.
+) -> tuple[NDArray[np.float64], float]:
+    """The cheapest direct way [P, 4] from a pose to the target that touches nothing, and its cost.
 
     It is a turn, a straight line and, where the heading counts, another turn.
     """
@@ -284,7 +320,7 @@ def _shot(
     turns_last = target.heading and not moves.spot
     for way in range(2 if moves.reverse else 1):
         sign = 1.0 - 2.0 * way
-        price = 1.0 if sign > 0.0 else 1.5
+        price = 1.0 if sign > 0.0 else BACKWARDS
         for word in range(4 if turns_last else 2):
             first = 1.0 if word % 2 == 0 else -1.0
             last = first if word < 2 else -first
@@ -307,7 +343,7 @@ def _shot(
                     break
             if clear:
                 best, best_cost = found, cost
-    return best
+    return best, best_cost
 
 
 @compiled

@@ -1,0 +1,235 @@
+"""Anchors for robots with an outline and wheels, as a caller meets them, by the student."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from asked_engine import plan
+from body_judge import BodyJudge, ahead, driven, sideways
+
+from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.engine import Engine
+
+CELLS, RESOLUTION = 120, 0.05
+V_MAX, A_MAX, OMEGA_MAX, RADIUS = 1.0, 1.5, 2.0, 1.0
+FORKLIFT = np.array([[-0.45, -0.31], [0.45, -0.31], [0.45, 0.31], [-0.45, 0.31]])
+CAR = np.array([[-0.2, -0.225], [0.5, -0.225], [0.5, 0.225], [-0.2, 0.225]])
+TURNS = {"kind": "differential", "omega_max": OMEGA_MAX}
+DRIVES = {"kind": "ackermann", "min_turning_radius": RADIUS, "omega_max": OMEGA_MAX}
+Place = tuple[float, float, float]
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    return Engine(load_bundle(DEFAULT_BUNDLE.parent / "student"), threads=2)
+
+
+def walls(*free: tuple[float, float, float, float], filled: bool = True) -> np.ndarray:
+    """[H, W], occupied but for rectangles of x and y [m] from and to, or the other way round."""
+    cells = np.full((CELLS, CELLS), filled)
+    for x0, x1, y0, y1 in free:
+        (left, right), (low, high) = (
+            np.round(np.array(ends) / RESOLUTION + CELLS / 2).astype(int)
+            for ends in ((x0, x1), (y0, y1))
+        )
+        cells[low:high, left:right] = not filled
+    return cells
+
+
+DOOR = walls((-3, 3, -3, 3)) | walls((-0.1, 0.1, -3, 3), filled=False)
+DOOR &= ~walls((-0.1, 0.1, 0.4, 1.2), filled=False)
+CORRIDOR = walls((-2.9, 2.9, -0.62, 0.62))
+FREE = walls((-3, 3, -3, 3))
+
+
+def asked(
+    engine: Engine, occupied: np.ndarray, start: Place, goal: Place, **changes: Any
+) -> AnchorBatch:
+    request = {
+        "cost_map": {"data": occupied[None].astype(np.float32), "resolution": RESOLUTION},
+        "x_curr": [*start, *[0.0] * 6],
+        "x_goal": [*goal, *[0.0] * 3],
+        "footprint": FORKLIFT,
+        "kinematics": TURNS,
+        "goal_tolerance": {"position": 0.1},
+        "v_max": V_MAX,
+        "a_max": A_MAX,
+        "num_samples": 24,
+        "seed": 3,
+    }
+    return plan(engine, AnchorRequest.build(**(request | changes)))
+
+
+def assert_driven(
+    anchors: AnchorBatch, occupied: np.ndarray, footprint: np.ndarray = FORKLIFT
+) -> None:
+    """Safe anchors touch nothing, slip nowhere, keep the limits, and their derivatives agree."""
+    assert anchors.is_finite
+    assert anchors.safe.any(), "nothing is safe"
+    judge = BodyJudge(occupied, RESOLUTION, footprint)
+    poses, velocities = anchors.trajectories[anchors.safe], anchors.velocities[anchors.safe]
+    accelerations = anchors.accelerations[anchors.safe]
+    steps = (np.broadcast_to(anchors.dt, anchors.safe.shape))[anchors.safe]
+    assert not any(judge.touches(path) for path in poses)
+    assert np.abs(sideways(poses, velocities)).max() < 1e-5
+    assert np.abs(velocities[..., 2]).max() <= OMEGA_MAX
+    assert np.abs(ahead(poses, velocities)).max() <= V_MAX
+    for path, velocity, pull, dt in zip(poses, velocities, accelerations, steps, strict=True):
+        moved, changed = np.diff(path, axis=0), np.diff(velocity, axis=0)
+        middle = 0.5 * (velocity[1:] + velocity[:-1])
+        between = np.sqrt(((moved / dt - middle) ** 2).mean(0))
+        assert between[:2].max() < 0.03
+        assert between[2] < 0.1
+        # A turn on the spot begins and ends between two samples.
+        between = np.sqrt(((changed / dt - 0.5 * (pull[1:] + pull[:-1])) ** 2).mean(0))
+        assert between[:2].max() < 0.35
+
+
+def test_a_forklift_goes_through_a_door_that_its_disc_does_not_fit(engine: Engine) -> None:
+    start, goal = (-2.0, -1.0, 0.4), (2.0, -1.0, 0.0)
+    anchors = asked(engine, DOOR, start, goal)
+    assert anchors.safe.mean() > 0.9
+    assert_driven(anchors, DOOR)
+    np.testing.assert_allclose(anchors.trajectories[:, 0], [start] * 24, atol=1e-6)
+    ends = anchors.trajectories[anchors.safe, -1, :2]
+    np.testing.assert_allclose(ends, [goal[:2]] * len(ends), atol=1e-3)
+    disc = asked(
+        engine, DOOR, (*start[:2], 0.0), goal, footprint=None, kinematics=None,
+        x_curr=[*start[:2], 0, 0, 0, 0], x_goal=[*goal[:2], 0, 0], robot_radius=0.546,
+    )  # fmt: skip
+    assert not disc.safe.any()
+
+
+def test_a_goal_behind_is_reached_by_turning_on_the_spot(engine: Engine) -> None:
+    anchors = asked(engine, CORRIDOR, (1.0, 0.0, 0.0), (-1.5, 0.0, 0.0))
+    assert_driven(anchors, CORRIDOR)
+    path, velocity = anchors.trajectories[anchors.best], anchors.velocities[anchors.best]
+    assert ahead(path, velocity).min() > -1e-6
+    assert abs(path[-1, 2]) == pytest.approx(np.pi, abs=0.3)
+    still = np.abs(velocity[:, :2]).max(1) < 1e-6
+    assert np.ptp(path[still, 2]) > 2.0
+
+
+def test_backwards_is_driven_where_it_is_allowed(engine: Engine) -> None:
+    anchors = asked(
+        engine, CORRIDOR, (1.0, 0.0, 0.0), (-1.5, 0.0, 0.0), kinematics=TURNS | {"reverse": True}
+    )
+    assert_driven(anchors, CORRIDOR)
+    best = anchors.best
+    assert ahead(anchors.trajectories[best], anchors.velocities[best]).max() < 1e-6
+    assert abs(anchors.trajectories[best, -1, 2]) < 0.3
+
+
+@pytest.mark.parametrize("aside", [0.6, -0.6])
+def test_a_car_parks_backwards_and_can_be_driven_open_loop(engine: Engine, aside: float) -> None:
+    start, goal = (0.5, 0.0, 0.0), (-1.0, aside, 0.0)
+    anchors = asked(
+        engine, FREE, start, goal, footprint=CAR, kinematics=DRIVES | {"reverse": True},
+        goal_tolerance={"position": 0.1, "heading": 0.1},
+    )  # fmt: skip
+    assert_driven(anchors, FREE, CAR)
+    best = anchors.best
+    path, velocity = anchors.trajectories[best], anchors.velocities[best]
+    speed = np.abs(ahead(path, velocity))
+    assert (np.abs(velocity[:, 2]) <= 1.03 * speed / RADIUS + 1e-6).all()
+    assert (speed[[0, -1]] < 1e-6).all()
+    end = driven(path, velocity, float(anchors.durations[best]))
+    np.testing.assert_allclose(end, goal, atol=0.05)
+
+
+def test_a_robot_that_moves_goes_on_as_it_moves(engine: Engine) -> None:
+    speed, turn = 0.6, 0.3
+    state = [-2.0, 0.0, 0.2, speed * np.cos(0.2), speed * np.sin(0.2), turn, 0.0, 0.0, 0.0]
+    anchors = asked(engine, FREE, (0, 0, 0), (2.0, 0.5, 0.0), x_curr=state)
+    assert_driven(anchors, FREE)
+    first = anchors.velocities[anchors.safe, 0]
+    np.testing.assert_allclose(first, [state[3:6]] * len(first), atol=0.05)
+
+
+def test_one_too_fast_for_the_wall_ahead_is_told_so(engine: Engine) -> None:
+    state = [2.2, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    anchors = asked(engine, CORRIDOR, (0, 0, 0), (-1.5, 0.0, 0.0), x_curr=state)
+    assert not anchors.safe.any()
+
+
+def test_what_moves_is_waited_for_or_passed(engine: Engine) -> None:
+    crossing = {"position": [[0.0, -1.2]], "velocity": [[0.0, 0.5]], "radius": [0.3]}
+    start, goal = (-2.0, 0.0, 0.0), (2.0, 0.0, 0.0)
+    anchors = asked(engine, FREE, start, goal, obstacles=crossing)
+    assert anchors.safe.any()
+    blind = asked(engine, FREE, start, goal)
+
+    def gap(batch: AnchorBatch, n: int) -> float:
+        times = np.linspace(0.0, batch.durations[n], batch.trajectories.shape[1])
+        fine = np.linspace(0.0, times[-1], 2000)
+        x, y, heading = (np.interp(fine, times, z) for z in batch.trajectories[n].T)
+        away = np.stack([0.0 - x, -1.2 + 0.5 * fine - y], 1)
+        left = -away[:, 0] * np.sin(heading) + away[:, 1] * np.cos(heading)
+        front = away[:, 0] * np.cos(heading) + away[:, 1] * np.sin(heading)
+        beyond = np.stack([np.abs(front) - 0.45, np.abs(left) - 0.31], 1)
+        return float(np.hypot(*np.maximum(beyond, 0.0).T).min()) - 0.3
+
+    assert min(gap(anchors, n) for n in np.flatnonzero(anchors.safe)) >= 0.0
+    assert min(gap(blind, n) for n in range(24)) < 0.0
+
+
+def test_a_horizon_is_kept(engine: Engine) -> None:
+    for horizon_s in (3.0, 20.0):
+        anchors = asked(engine, FREE, (-2.0, 0.0, 0.0), (2.0, 0.0, 0.0), horizon_s=horizon_s)
+        assert anchors.durations.tolist() == pytest.approx([horizon_s] * 24)
+        assert_driven(anchors, FREE)
+    np.testing.assert_allclose(anchors.trajectories[:, -1, :2], [[2.0, 0.0]] * 24, atol=1e-3)
+
+
+def test_a_blocked_goal_moves_within_its_tolerance(engine: Engine) -> None:
+    occupied = FREE | walls((1.9, 2.1, -0.1, 0.1), filled=False)
+    start, goal = (-2.0, 0.0, 0.0), (1.4, 0.0, 0.0)
+    tight = asked(engine, occupied, start, goal)
+    assert not tight.safe.any() or np.hypot(*(tight.trajectories[0, -1, :2] - goal[:2])) <= 0.1
+    wide = asked(engine, occupied, start, goal, goal_tolerance={"position": 0.6, "heading": 0.5})
+    assert_driven(wide, occupied)
+    ends = wide.trajectories[wide.safe, -1]
+    assert (np.hypot(*(ends[:, :2] - goal[:2]).T) <= 0.6).all()
+    assert (np.abs(ends[:, 2]) <= 0.5).all()
+
+
+def test_scenes_far_from_zero_and_in_a_batch_have_the_same_answers(engine: Engine) -> None:
+    start, goal = (-2.0, -1.0, 0.4), (2.0, -1.0, 0.0)
+    here = asked(engine, DOOR, start, goal)
+    batch = asked(
+        engine, DOOR, start, goal,
+        x_curr=[[*start, *[0.0] * 6]] * 2, x_goal=[[*goal, *[0.0] * 3]] * 2,
+    )  # fmt: skip
+    np.testing.assert_array_equal(batch.trajectories[1], here.trajectories)
+    far = np.array([400_000.0, 5_000_000.0])
+    moved = asked(
+        engine, DOOR, start, goal,
+        cost_map={
+            "data": DOOR[None].astype(np.float32), "resolution": RESOLUTION, "origin": far - 3.0,
+        },
+        x_curr=[*(far + start[:2]), start[2], *[0.0] * 6],
+        x_goal=[*(far + goal[:2]), goal[2], *[0.0] * 3],
+    )  # fmt: skip
+    np.testing.assert_allclose(
+        moved.trajectories[..., :2] - far, here.trajectories[..., :2], atol=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "words"),
+    [
+        ({"x_curr": [0.0] * 6, "x_goal": [1.0, 0, 0, 0]}, "x_curr", r"\[9\].*footprint.*poses"),
+        ({"warm_start": {"trajectory": [[0, 0, 0], [1, 0, 0]]}}, "warm_start", "expected none"),
+        ({"sampler": {"method": "euler"}}, "sampler", "expected none"),
+    ],
+)
+def test_what_poses_cannot_be_asked_with_is_named(
+    engine: Engine, changes: dict[str, Any], field: str, words: str
+) -> None:
+    with pytest.raises(InvalidRequest, match=words) as caught:
+        asked(engine, FREE, (0, 0, 0), (1, 0, 0), **changes)
+    assert caught.value.field == field
