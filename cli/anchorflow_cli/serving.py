@@ -30,8 +30,7 @@ from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.listening import is_loopback, listen, url_of
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_service.engine import Engine
-from anchorflow_service.engine.moving_loops import MOVING_LOOPS
+from anchorflow_service.engine import Engine, later_loops
 from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
 from anchorflow_service.http.lifecycle import Draining, GracefulExit, TlsFiles, uvicorn_config
@@ -145,7 +144,7 @@ def open_service(
         return Engine(load_bundle(folder), threads=choice.limits.threads, provider=choice.provider)
 
     folders = choice.folders
-    MOVING_LOOPS.defer()
+    later_loops.defer()
     engines = open_all(folders, open_engine)
     service = PlanningService(engines, default=next(iter(engines)), limits=choice.limits)
     endpoints: list[AbstractAsyncContextManager[object]] = [GracefulExit(service, choice.draining)]
@@ -162,7 +161,7 @@ def open_service(
         endpoints.append(_at_start(lambda: announce(message), lambda: print_line(replica)))
     else:
         endpoints.append(_at_start(lambda: announce(message)))
-    endpoints.append(_at_start(MOVING_LOOPS.compile))
+    endpoints.append(_at_start(later_loops.compile_later))
     if choice.workers > 1:
         reserve_shared_files()
     repository = FixedRepository if choice.workers > 1 else Repository

@@ -4,8 +4,8 @@
 
 compiles what a later process then finds on disk, in two processes at a time where there are two
 cores: all of it, or the stages that are named. `still` is what a scene needs in which nothing
-moves, `moving` the rest. The loops of a stage are compiled for types of their own, so that a
-service may answer after the first.
+moves, `moving` what it needs besides, `poses` what bodies on wheels need. The loops of a stage are
+compiled for types of their own, so that a service may answer after the first.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -26,6 +26,9 @@ import numba
 import numpy as np
 from numba.core.registry import cpu_target
 
+from anchorflow_trajectory.bodies.outline import Outline
+from anchorflow_trajectory.bodies.planner import Body, BodyPlanner
+from anchorflow_trajectory.bodies.wheels import Wheels
 from anchorflow_trajectory.compiled import code_folder
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import CostFields
@@ -49,8 +52,9 @@ except ImportError:  # Windows
 logger = logging.getLogger(__name__)
 
 MODULE = "anchorflow_trajectory.warm_up"
-STILL, MOVING = STAGES = ("still", "moving")
-USUAL_S = {STILL: 40, MOVING: 40}  # on two cores
+STILL, MOVING, POSES = STAGES = ("still", "moving", "poses")
+USUAL_S = {STILL: 40, MOVING: 40, POSES: 30}  # on two cores
+SUBJECTS = {STILL: "routes and finish", MOVING: "moving obstacles", POSES: "footprints and wheels"}
 DESCENT, NICED = "--descent", "--niced"
 NICENESS = 10
 CELLS, RESOLUTION = 32, 0.2  # of a map of 6.4 m
@@ -92,24 +96,47 @@ def is_kept(stage: str) -> bool:
 def _compile(stage: str) -> None:
     with _alone():
         begin, before = time.monotonic(), is_kept(stage)
-        scene = _scene(stage)
         if not before:
             logger.warning(
                 "compiling loops for this processor, once (%s): about %d s on two cores",
-                "moving obstacles" if stage == MOVING else "routes and finish",
+                SUBJECTS[stage],
                 USUAL_S[stage],
             )
-            beside = _descent_beside(stage)
-            _run_routes(scene)
-            if beside is not None:
-                beside.wait()
-        _run_descent(scene)
-        _run_finish(scene)
+        if stage == POSES:
+            _run_poses()
+        else:
+            _run_splines(stage, beside=not before)
         if not before:
             logger.warning("compiled in %.0f s", time.monotonic() - begin)
             if (folder := code_folder()) is not None:
                 with suppress(OSError):
                     _mark(folder, stage).touch()
+
+
+def _run_splines(stage: str, *, beside: bool) -> None:
+    """Run what anchors on a plane need; beside: the descent in a process of its own first."""
+    scene = _scene(stage)
+    if beside:
+        process = _descent_beside(stage)
+        _run_routes(scene)
+        if process is not None:
+            process.wait()
+    _run_descent(scene)
+    _run_finish(scene)
+
+
+def _run_poses() -> None:
+    """Plan for a body that parks, among what moves."""
+    scene = _scene(MOVING)
+    state = np.array([0.8, 3.2, 0.3, 0.1, *[0.0] * 5])
+    scene = replace(scene, x_curr=state, x_goal=np.array([5.6, 3.2, 0.3, *[0.0] * 3]))
+    body = Body(Outline.disc(0.25), Wheels(2.0, min_radius=0.5, reverse=True))
+
+    def run(work: Sequence[Callable[[], None]]) -> None:
+        for each in work:
+            each()
+
+    BodyPlanner(scene, body, (0.1, 0.1), steps=8, run=run).plan(2, 0)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
-from anchorflow_service.engine.moving_loops import MOVING_LOOPS
+from anchorflow_service.engine.later_loops import MOVING_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.finish.why_unsafe import why_unsafe

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from anchorflow_client.contract.body import Kinematics
-from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.bundle.manifest import CostMapSpec, Manifest
 from anchorflow_service.engine.conditioning.cost_map import MapScene, outline_of
 from anchorflow_service.engine.interfaces import DT, Arrays
+from anchorflow_service.engine.later_loops import POSE_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
 from anchorflow_trajectory.bodies.planner import Body, BodyPlanner
 from anchorflow_trajectory.bodies.wheels import Wheels
@@ -31,6 +32,8 @@ class PosePlanner:
 
     def __init__(self, manifest: Manifest, *, threads: int) -> None:
         self._steps = manifest.time.steps
+        if isinstance(manifest.conditioning, CostMapSpec):
+            POSE_LOOPS.load()
         self._pool = ThreadPool(threads, name="anchorflow-poses")
 
     def plan(self, scene: MapScene, *, threads: int) -> Arrays:

@@ -53,7 +53,8 @@ def fitted(
 ) -> NDArray[np.float64]:
     """Return control points [K, 2] of the curve along poses [P, 3], with its first pose exact.
 
-    fixed_end: the last pose is exact, not only its place; bend: 1/m, the curvature at the start
+    fixed_end: the last pose is exact, not only its place; bend: 1/m, the
+        curvature at the start, by the way that is driven
     """
     legs = np.hypot(*np.diff(points[:, :2], axis=0).T)
     marks = np.append(0.0, legs.cumsum())
@@ -69,7 +70,7 @@ def fitted(
     control[1] = control[0] + reach * ahead
     held, last = KEPT, LAST if fixed_end else 1
     if bend is not None:
-        side = np.array([-ahead[1], ahead[0]]) * length**2 / (6.0 * spans**2)
+        side = gear * np.array([-ahead[1], ahead[0]]) * length**2 / (6.0 * spans**2)
         control[2] = control[1] + 2.0 * (control[1] - control[0]) + bend * side
         held += 1
     if fixed_end:

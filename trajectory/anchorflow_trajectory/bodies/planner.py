@@ -23,7 +23,14 @@ from anchorflow_trajectory.bodies.motion import (
 )
 from anchorflow_trajectory.bodies.outline import Ground, Outline, ground_of, touches
 from anchorflow_trajectory.bodies.search import Guide, Target, find_way, guide_along
-from anchorflow_trajectory.bodies.wheels import BACKWARD, FORWARD, TURNING, Wheels, moves_of
+from anchorflow_trajectory.bodies.wheels import (
+    BACKWARD,
+    FORWARD,
+    STANDING,
+    TURNING,
+    Wheels,
+    moves_of,
+)
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid
@@ -172,7 +179,7 @@ class BodyPlanner:
             Guide(left, float(origin[0]), float(origin[1]), fine),
             np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
             start,
-            self._first_gear,
+            self._first_gear if self._moves else STANDING,
             0.5 * self._first_speed**2 / (0.7 * motion.a_max) if self._moves else 0.0,
             Target(self._goal, self._heading_counts),
             most,

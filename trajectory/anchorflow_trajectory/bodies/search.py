@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.bodies.outline import Ground, touches
-from anchorflow_trajectory.bodies.wheels import BACKWARDS, Moves
+from anchorflow_trajectory.bodies.wheels import BACKWARDS, TURNING, Moves
 from anchorflow_trajectory.compiled import compiled
 
 GREED = 1.4  # factor on what is left
@@ -99,7 +99,7 @@ def find_way(
         corners: [K, 2] of the outline, with a margin; reach: m to the farthest.
         cell: m, within which poses of one heading count as one.
         surcharge: [H, W] >= 0 of the ground, m of detour that a metre is worth; or [0, 0].
-        gear: in which the robot moves at the start.
+        gear: in which the robot moves at the start, or STANDING.
         braking: m that it needs to stop at the start.
         most: poses to expand.
     """
@@ -336,6 +336,7 @@ def _shot(
             if cost >= best_cost:
                 continue
             found = _drawn(at, sign, legs, target, moves.spot)
+            cost += _cost_of_turn(found, moves)
             clear = True
             for k in range(len(found)):
                 if touches(ground, corners, reach, found[k, :3], spans):
@@ -344,6 +345,17 @@ def _shot(
             if clear:
                 best, best_cost = found, cost
     return best, best_cost
+
+
+@compiled
+def _cost_of_turn(way: FloatArray, moves: Moves) -> float:
+    """m, what a last turn on the spot costs of a way [P, 4]."""
+    first = len(way)
+    while first and way[first - 1, 3] == TURNING:
+        first -= 1
+    if first == len(way):
+        return 0.0
+    return moves.stop + moves.spin * abs(way[-1, 2] - way[max(first - 1, 0), 2])
 
 
 @compiled

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-FORWARD, BACKWARD, TURNING = 1, -1, 0
-"""Gears."""
+FORWARD, BACKWARD, TURNING, STANDING = 1, -1, 0, 2
+"""Gears; a robot that stands may take any."""
 SPARE = 1.13  # of the tightest turn: bends of a spline are tighter than what it follows
 STEP = 1.8  # cells of a search that a short motion covers
 LOOKS = 3  # poses of a short motion at which it is tested
@@ -37,7 +37,8 @@ class Moves(NamedTuple):
     """Short motions from the pose (0, 0, 0).
 
     poses: [M, LOOKS, 3] that each passes, the last its end; gears: [M]; lengths: [M] m
-    costs: [M] m; stop: m, what a change of gear costs; radius: m of the turns to a goal
+    costs: [M] m; stop: m, what a change of gear costs; spin: m, what a rad on the spot costs
+    radius: m of the turns to a goal
     bins: headings that a search tells apart
     """
 
@@ -46,6 +47,7 @@ class Moves(NamedTuple):
     lengths: NDArray[np.float64]
     costs: NDArray[np.float64]
     stop: float
+    spin: float
     radius: float
     reverse: bool
     spot: bool
@@ -78,6 +80,7 @@ def moves_of(wheels: Wheels, *, cell: float, v_max: float, a_max: float) -> Move
         np.array(lengths),
         np.array(costs),
         v_max * (STOP + 0.5 * v_max / a_max),
+        v_max / wheels.omega_max,
         radius,
         wheels.reverse,
         wheels.spot,

@@ -20,7 +20,7 @@ from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
-from anchorflow_service.engine.moving_loops import MOVING_LOOPS
+from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
@@ -60,10 +60,12 @@ class CostMapConditioning:
 
         Raises:
             InvalidRequest: a goal is occupied, and no place within its tolerance can be reached.
-            NotReady: there are obstacles, and their loops are still being compiled.
+            NotReady: the loops for obstacles, or for bodies, are still being compiled.
         """
         if request.obstacles is not None:
             MOVING_LOOPS.require()
+        if request.has_body:
+            POSE_LOOPS.require()
         reference = _reference(request.cost_map)
         near = _moved(request, reference) if reference.any() else request
         movers = moving_discs(near.obstacles)

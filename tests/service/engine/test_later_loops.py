@@ -9,8 +9,8 @@ import threading
 import pytest
 
 from anchorflow_client.errors import NotReady
-from anchorflow_service.engine import moving_loops
-from anchorflow_service.engine.moving_loops import MovingLoops
+from anchorflow_service.engine import later_loops
+from anchorflow_service.engine.later_loops import LaterLoops
 
 SECONDS = 20.0
 
@@ -27,27 +27,28 @@ def test_what_is_deferred_is_refused_until_it_is_compiled(monkeypatch: pytest.Mo
         assert stage == "moving"
         return subprocess.Popen([sys.executable, "-c", "pass"])
 
-    monkeypatch.setattr(moving_loops, "is_kept", lambda _: False)
-    monkeypatch.setattr(moving_loops, "compile_loops", compile_loops)
-    monkeypatch.setattr(moving_loops, "compiler", compiler)
-    loops = MovingLoops()
+    monkeypatch.setattr(later_loops, "is_kept", lambda _: False)
+    monkeypatch.setattr(later_loops, "compile_loops", compile_loops)
+    monkeypatch.setattr(later_loops, "compiler", compiler)
+    loops = LaterLoops("moving", "obstacles")
     loops.defer()
     loops.load()
     assert compiled == ["still"]
-    loops.compile()
-    with pytest.raises(NotReady, match=r"^obstacles: .* for about \d+ s more"):
+    thread = threading.Thread(target=loops.compile)
+    thread.start()
+    with pytest.raises(NotReady, match=r"moving obstacles .* for about \d+ s more"):
         loops.require()
     goes_on.set()
-    assert loops._done.wait(SECONDS)
+    thread.join(SECONDS)
     loops.require()
     assert compiled == ["still", "moving"]
 
 
 def test_what_is_on_disk_is_loaded_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = list[str]()
-    monkeypatch.setattr(moving_loops, "is_kept", lambda _: True)
-    monkeypatch.setattr(moving_loops, "compile_loops", compiled.append)
-    loops = MovingLoops()
+    monkeypatch.setattr(later_loops, "is_kept", lambda _: True)
+    monkeypatch.setattr(later_loops, "compile_loops", compiled.append)
+    loops = LaterLoops("moving", "obstacles")
     loops.defer()
     loops.load()
     loops.compile()

@@ -1,0 +1,103 @@
+"""Loops that only some requests need, which a service may compile while it already answers.
+
+    defer()           before the first engine, where they are not on disk yet
+    compile_later()   once the service answers
+
+Otherwise the first engine that may need them loads or compiles them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import threading
+import time
+
+from anchorflow_client.errors import NotReady
+from anchorflow_trajectory.warm_up import (
+    MOVING,
+    POSES,
+    STILL,
+    SUBJECTS,
+    USUAL_S,
+    compile_loops,
+    compiler,
+    is_kept,
+)
+
+LEAST_S = 5.0
+"""Time that is told to be left, if it takes longer than usual."""
+SLOWER = 2.0
+"""How much longer a niced process takes beside a service."""
+
+logger = logging.getLogger(__name__)
+
+
+class LaterLoops:
+    """Knows whether requests that need the loops of a stage can be answered."""
+
+    def __init__(self, stage: str, field: str) -> None:
+        """field: of a request that needs them."""
+        self._stage, self._field = stage, field
+        self._is_deferred = False
+        self._done = threading.Event()
+        self._begin = time.monotonic()
+
+    def defer(self) -> None:
+        """Leave the loops for `compile`, unless they are on disk."""
+        self._is_deferred = not is_kept(self._stage)
+
+    def load(self) -> None:
+        """Make them ready for an engine, and what they build on, unless they are deferred."""
+        compile_loops(STILL)
+        if not self._is_deferred:
+            compile_loops(self._stage)
+
+    def require(self) -> None:
+        """Raise `NotReady` while requests that need them cannot be answered."""
+        if not self._is_deferred or self._done.is_set():
+            return
+        left = max(SLOWER * USUAL_S[self._stage] - (time.monotonic() - self._begin), LEAST_S)
+        raise NotReady(
+            f"the loops for {SUBJECTS[self._stage]} are being compiled, once on this machine, for "
+            f"about {left:.0f} s more; requests without them are answered",
+            self._field,
+        )
+
+    def compile(self) -> None:
+        """Compile what was deferred, in a niced process."""
+        if not self._is_deferred:
+            return
+        self._begin = time.monotonic()
+        try:
+            with compiler(self._stage) as process:
+                atexit.register(process.terminate)
+                process.wait()
+                atexit.unregister(process.terminate)
+        except OSError as error:
+            logger.warning("no process compiles the loops of %s: %s", SUBJECTS[self._stage], error)
+        try:
+            compile_loops(self._stage)
+        finally:
+            self._done.set()
+        logger.info("requests with %s are answered now", SUBJECTS[self._stage])
+
+
+MOVING_LOOPS = LaterLoops(MOVING, "obstacles")
+POSE_LOOPS = LaterLoops(POSES, "kinematics")
+
+
+def defer() -> None:
+    """Leave what is not on disk for `compile_later`."""
+    MOVING_LOOPS.defer()
+    POSE_LOOPS.defer()
+
+
+def compile_later() -> None:
+    """Begin to compile what was deferred, one stage after the other; return at once."""
+
+    def work() -> None:
+        MOVING_LOOPS.compile()
+        POSE_LOOPS.compile()
+
+    threading.Thread(target=work, name="later-loops", daemon=True).start()
