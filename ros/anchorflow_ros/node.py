@@ -1,6 +1,6 @@
 """The node: a robot's topics in, a velocity command and the plan out.
 
-    python -m anchorflow_ros.node --ros-args -p service:=http://127.0.0.1:8000
+    python -m anchorflow_ros.node --ros-args -p goal.beyond_map:=approach -p map.timeout_s:=1.0
 
 It is a lifecycle node; with the parameter `autostart` it configures and activates itself.
 """

@@ -1,7 +1,7 @@
 """A simulated robot with lidar, as a ROS 2 process of its own beside the node.
 
     python -m anchorflow_ros.simulator                        # a corridor with posts
-    python -m anchorflow_ros.simulator --map map.yaml --start 0 0 0 --goal 5 2
+    python -m anchorflow_ros.simulator --map MAP --start X Y YAW --goal X Y
 
 It publishes `odom`, `scan`, `map` and the world's `goal_pose`, obeys `cmd_vel`, and ends when the
 robot has arrived, touches something, or takes too long; the last line it prints is a JSON object.

@@ -312,6 +312,16 @@ WALKTHROUGH = (
         ),
     ),
     Session("on Ray Serve", ("pip install -e '.[ray]'", *ON_RAY)),
+    Session(
+        "with ROS 2",
+        (
+            "pip install -e '.[ros,bench,service]'",
+            "pip install -e '.[control]'",
+            "python -m anchorflow_ros.node --ros-args"
+            " -p goal.beyond_map:=approach -p map.timeout_s:=1.0",
+            "python -m anchorflow_ros.simulator",
+        ),
+    ),
 )
 
 BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "make walkthrough")
@@ -327,6 +337,7 @@ NOT_RUN = {
     r"docker ": "needs a container engine; `make image` builds the same Dockerfile with buildah",
     r"zenohd ": "needs zenohd, which is not on PyPI; the tests' router is the library's own",
     r"python examples/robot/robot.py .*--view": "needs a screen",
+    r"ln -s .*ros2_ws|cd ~/ros2_ws|ros2 launch ": "needs a workspace; tests/ros builds the package",
 }
 """Reasons by a pattern of commands that no session runs."""
 

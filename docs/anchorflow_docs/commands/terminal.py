@@ -21,6 +21,7 @@ SERVERS = {
     r"python router\.py": r"router at",
     r"tensorboard ": r"http://",
     r"tail -f ": r".",
+    r"python -m anchorflow_ros\.node ": r"goal: none",
 }
 # SIOCSIFFLAGS sets IFF_UP: the loopback interface of a new namespace is down.
 HOLD = """
