@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 NONE, ONE, SLOW = np.float32(0.0), np.float32(1.0), np.float32(0.05)
 MAX_SAMPLES = 400
+EARLY = np.float32(0.02)  # m by which a sample has to be nearer than the one before it
 LAG = np.float32(0.5)  # m behind, at which the reference waits
 HURRY = np.float32(1.5)  # most, as a share of its own pace, that a reference runs
 ALONG, ASIDE, TURN = map(np.float32, (2.0, 4.0, 3.0))  # gains: 1/s, 1/m^2, 1/s
@@ -170,7 +171,7 @@ def follow(
     for k in range(len(controls)):
         reference, haste = references[k // len(paces)], paces[k % len(paces)]
         state = (start[0], start[1], start[2], start[3], start[4])
-        at, last = NONE, np.float32(len(reference) - 1)
+        at, last = _nearest(reference, state[0], state[1]), np.float32(len(reference) - 1)
         for t in range(controls.shape[1]):
             here, there = min(at, last), min(at + haste, last)
             if limits.kind == OMNI:
@@ -184,6 +185,21 @@ def follow(
             controls[k, t, 0] = (state[3] - before[3]) / dt
             controls[k, t, 1] = (state[4] - before[4]) / dt
             at += haste * pace
+
+
+@compiled
+def _nearest(reference: Floats, x: np.float32, y: np.float32) -> np.float32:
+    """Return the sample of a reference [S,5] that is nearest to a place, an early one rather.
+
+    An anchor that is not told its age is entered where the robot is.
+    """
+    nearest, least = 0, np.float32(np.inf)
+    for s in range(len(reference)):
+        across, along = reference[s, 0] - x, reference[s, 1] - y
+        apart = np.sqrt(across * across + along * along) + EARLY * np.float32(s)
+        if apart < least:
+            nearest, least = s, apart
+    return np.float32(nearest)
 
 
 @compiled

@@ -99,8 +99,8 @@ class MppiController:
             cost_map: [C,H,W], in the frame of the state; beyond the map is as on its edge. Pass
                 the same object while the map is the same, as what is made from it is kept.
             goal: [2] x, y, on the map or beyond it.
-            anchors: those that begin at this state, or a planner's plan, which knows its age. A
-                plan that is not usable means braking; None means MPPI alone.
+            anchors: a planner's plan, which knows its age, or anchors, which are entered where the
+                robot is. A plan that is not usable means braking; None means MPPI alone.
             obstacles: what moves, seen at this moment.
             speed_limit: m/s, for this tick; None for the robot's v_max. A faster robot brakes.
 

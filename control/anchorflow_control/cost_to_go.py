@@ -18,6 +18,7 @@ Floats = NDArray[np.float32]
 Array = NDArray[np.float64]
 
 OFF_PATH_COST = np.float32(1.5)  # m of way per metre away from the nearest point
+NEAR_COST = np.float32(6.0)  # the same, for the point that is taken behind an obstacle
 BLOCKED_COST = np.float32(3.0)  # m of way for an obstacle between a place and its path
 NARROWER = np.float32(0.12)  # m, by which a straight line is narrower than the body
 SIGHT_POINTS = 6  # checked between a place and its path
@@ -52,7 +53,8 @@ def metres_left(
 ) -> None:
     """Write m [K] from the ends of motions [K,T,5] to a point of an anchor and along it.
 
-    An obstacle on the straight line to the point adds BLOCKED_COST. Without points [3,P] it is the
+    The point is the one by which the way is shortest or, if an obstacle lies before it, one that is
+    near; if one lies before that too, BLOCKED_COST is added. Without points [3,P] it is the
     straight line to the goal [2].
     """
     x, y = states[:, -1, 0].copy(), states[:, -1, 1].copy()
@@ -61,24 +63,46 @@ def metres_left(
             across, along = x[k] - goal[0], y[k] - goal[1]
             left[k] = np.sqrt(across * across + along * along)
         return
-    nearest = np.zeros(len(left), np.int32)
+    best, near = np.zeros(len(left), np.int32), np.zeros(len(left), np.int32)
+    least = np.full(len(left), FAR, np.float32)
     left[:] = FAR
     for i in range(points.shape[1]):
         to_x, to_y, beyond, index = points[0, i], points[1, i], points[2, i], np.int32(i)
         # Without a branch, so that it runs on several motions at once.
         for k in range(len(left)):
             across, along = x[k] - to_x, y[k] - to_y
-            metres = beyond + OFF_PATH_COST * np.sqrt(across * across + along * along)
-            nearest[k] = index if metres < left[k] else nearest[k]
+            apart = np.sqrt(across * across + along * along)
+            metres = beyond + OFF_PATH_COST * apart
+            best[k] = index if metres < left[k] else best[k]
             left[k] = min(metres, left[k])
+            metres = beyond + NEAR_COST * apart
+            near[k] = index if metres < least[k] else near[k]
+            least[k] = min(metres, least[k])
     for k in range(len(left)):
-        by_x, by_y = points[0, nearest[k]] - x[k], points[1, nearest[k]] - y[k]
-        room = FAR
-        for i in range(SIGHT_POINTS):
-            share = np.float32(i / (SIGHT_POINTS - 1))
-            room = min(room, value_at(distance, x[k] + share * by_x, y[k] + share * by_y))
-        if room < sight:
+        if _sees(distance, sight, x[k], y[k], points[0, best[k]], points[1, best[k]]):
+            continue
+        to_x, to_y = points[0, near[k]], points[1, near[k]]
+        across, along = x[k] - to_x, y[k] - to_y
+        left[k] = points[2, near[k]] + OFF_PATH_COST * np.sqrt(across * across + along * along)
+        if not _sees(distance, sight, x[k], y[k], to_x, to_y):
             left[k] += BLOCKED_COST
+
+
+@compiled
+def _sees(
+    distance: Grid,
+    sight: np.float32,
+    x: np.float32,
+    y: np.float32,
+    to_x: np.float32,
+    to_y: np.float32,
+) -> bool:
+    """Return whether the straight line between two places keeps `sight` m from obstacles."""
+    room = FAR
+    for i in range(SIGHT_POINTS):
+        share = np.float32(i / (SIGHT_POINTS - 1))
+        room = min(room, value_at(distance, x + share * (to_x - x), y + share * (to_y - y)))
+    return room >= sight
 
 
 @compiled

@@ -95,6 +95,14 @@ def test_from_within_the_anchor() -> None:
     assert np.linalg.norm(driven[:, :2] - p[11:51, :2], axis=1).max() < 0.02
 
 
+def test_an_anchor_is_entered_where_the_robot_is() -> None:
+    robot = Robot(kind="omni", v_max=1.0, a_max=1.5, radius=0.3)
+    p, v, a = straight([0.0, 0.0], [4.0, 0.0], seconds=6.0, steps=64)
+    driven, _ = followed(robot, batch_of((p, v, a), dt=6.0 / 63), [1.5, 0.0, 0.0, v[25, 0], 0.0])
+    assert np.diff(driven[:, 0]).min() > -1e-3  # it does not turn back to the beginning
+    assert driven[-1, 0] == pytest.approx(4.0, abs=0.1)
+
+
 def test_beside_the_anchor_it_comes_back() -> None:
     robot = Robot(kind="differential", v_max=1.0, a_max=1.5, radius=0.3)
     anchor = straight([0.0, 0.0], [4.0, 0.0], seconds=6.0, steps=64)

@@ -29,7 +29,15 @@ ROBOT_RADIUS = 0.25  # m, the default bundle's
 
 @pytest.mark.parametrize(
     "name",
-    ["index.md", "clients.md", "planner.md", "nav2.md", "people.md", "bodies.md"],
+    [
+        "index.md",
+        "clients.md",
+        "planner.md",
+        "controller.md",
+        "nav2.md",
+        "people.md",
+        "bodies.md",
+    ],
 )
 def test_the_programs_of_a_page_run(name: str, url_of_both: str) -> None:
     seen: dict[str, Any] = {"__name__": "__main__"}
