@@ -171,7 +171,7 @@ def follow(
     for k in range(len(controls)):
         reference, haste = references[k // len(paces)], paces[k % len(paces)]
         state = (start[0], start[1], start[2], start[3], start[4])
-        at, last = _nearest(reference, state[0], state[1]), np.float32(len(reference) - 1)
+        at, last = nearest_sample(reference, state[0], state[1]), np.float32(len(reference) - 1)
         for t in range(controls.shape[1]):
             here, there = min(at, last), min(at + haste, last)
             if limits.kind == OMNI:
@@ -188,7 +188,7 @@ def follow(
 
 
 @compiled
-def _nearest(reference: Floats, x: np.float32, y: np.float32) -> np.float32:
+def nearest_sample(reference: Floats, x: np.float32, y: np.float32) -> np.float32:
     """Return the sample of a reference [S,5] that is nearest to a place, an early one rather.
 
     An anchor that is not told its age is entered where the robot is.

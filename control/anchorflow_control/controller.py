@@ -68,7 +68,7 @@ class MppiController:
         config = self.config
         self._discs = discs_of(robot)
         self._weights = Weights.of(config)
-        self._times = config.dt * np.arange(1, config.steps + 1)
+        self._times: Array = config.dt * np.arange(1, config.steps + 1, dtype=np.float64)
         self._noise = Disturbances(
             config.motions, config.steps, dt=config.dt, rng=np.random.default_rng(seed)
         )

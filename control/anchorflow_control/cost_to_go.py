@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_control.anchor_motions import nearest_sample
 from anchorflow_control.dynamics import within
 from anchorflow_control.surroundings import Grid, value_at
 from anchorflow_trajectory.compiled import compiled
@@ -102,7 +103,7 @@ def _sees(
     for i in range(SIGHT_POINTS):
         share = np.float32(i / (SIGHT_POINTS - 1))
         room = min(room, value_at(distance, x + share * (to_x - x), y + share * (to_y - y)))
-    return room >= sight
+    return bool(room >= sight)
 
 
 @compiled
@@ -124,8 +125,8 @@ def points_along(
 ) -> Floats:
     """Return [3,P], points of motions [A,S,5] and of the straight lines from their ends to a goal.
 
-    ways: [A,S] m; goal: [2] m; handicap: [A] m added to each; reach: m of way, up to which points
-    count
+    ways: [A,S] m; goal: [2] m; handicap: [A] m added to each; reach: m of way
+    from the origin, up to which points count
     """
     beyond = np.linalg.norm(goal - motions[:, -1, :2], axis=1)
     longest = min(float((ways[:, -1] + beyond).max()), reach)
@@ -143,12 +144,13 @@ def _sample(
     """Write points [3,A,C] at equal lengths of way; left: [A] m at the beginning of each."""
     last = motions.shape[1] - 1
     for k in range(len(motions)):
-        s = 0
+        s = int(nearest_sample(motions[k], NONE, NONE))
+        first = ways[k, s]
         end_x, end_y, end = motions[k, last, 0], motions[k, last, 1], ways[k, last]
         by_x, by_y = goal[0] - end_x, goal[1] - end_y
         beyond = max(np.sqrt(by_x * by_x + by_y * by_y), np.float32(1e-6))
         for i in range(points.shape[2]):
-            way = i * spacing
+            way = first + i * spacing
             while s < last and ways[k, s] < way:
                 s += 1
             share = within((way - end) / beyond, NONE, ONE)

@@ -31,7 +31,8 @@ class Disturbances:
         bank = (1.0 - share) * knots[:, low] + share * knots[:, low + 1]
         bank /= np.sqrt((1.0 - share) ** 2 + share**2)
         scales = np.linspace(SMALLEST, 1.0, len(bank), dtype=np.float32)
-        self._bank = bank * rng.permutation(scales)[:, None, None]
+        bank *= rng.permutation(scales)[:, None, None]
+        self._bank: Floats = bank.astype(np.float32)
         self._rng = rng
 
     def draw(self, count: int) -> Floats:

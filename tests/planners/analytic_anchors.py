@@ -59,7 +59,7 @@ def wheeled(
     heading: with it, D = 3
     """
     h = dt / FINE
-    times = h * np.arange((steps - 1) * FINE + 1)
+    times: Array = h * np.arange((steps - 1) * FINE + 1, dtype=np.float64)
     v, kappa = speed(times), curvature(times)
     w = kappa * v
     angle = np.concatenate([[0.0], np.cumsum(0.5 * h * (w[1:] + w[:-1]))])

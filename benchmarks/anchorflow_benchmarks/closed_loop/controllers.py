@@ -74,7 +74,9 @@ class AnchorController:
             own = np.array([own[0], own[1], 0.0, own[2], own[3]])
         # Built without checks, as the map is new at each tick.
         cost_map = CostMap(
-            np.asarray(sight.occupied[None], np.float32), sight.resolution, np.array(sight.origin)
+            np.asarray(sight.occupied[None], np.float32),
+            sight.resolution,
+            np.array(sight.origin, np.float64),
         )
         command = self._mppi.command(own, cost_map=cost_map, goal=goal, anchors=plan)
         self._ahead = command.motion[:, :2]
