@@ -191,7 +191,7 @@ def follow(
 def nearest_sample(reference: Floats, x: np.float32, y: np.float32) -> np.float32:
     """Return the sample of a reference [S,5] that is nearest to a place, an early one rather.
 
-    An anchor that is not told its age is entered where the robot is.
+    An anchor of unknown age is entered where the robot is.
     """
     nearest, least = 0, np.float32(np.inf)
     for s in range(len(reference)):

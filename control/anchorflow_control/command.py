@@ -1,4 +1,4 @@
-"""What a controller returns at each tick."""
+"""The answer of a controller at each tick."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Command:
     times: NDArray[np.float64]
     """[T] s from now."""
     braking: bool
-    """Whether it is the hardest braking; `reason` tells why."""
+    """Whether it is the hardest braking, for the `reason` below."""
     cost: float
     """Of the predicted motion, as the controller compares motions; lower is better."""
     reason: str | None = None

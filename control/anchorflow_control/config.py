@@ -63,7 +63,7 @@ class MppiConfig:
     collision: float = 100.0
     """Cost of a second in collision."""
     nearness: float = 2.0
-    """Cost of a metre just beyond the margin; it falls to 0 with the square of what is left."""
+    """Cost of a metre just beyond the margin; it falls as a square to 0 at `comfort`."""
     distance: float = 0.1
     """Cost of a second per m from the goal."""
     arrival: float = 1.0

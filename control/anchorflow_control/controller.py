@@ -97,11 +97,11 @@ class MppiController:
         Args:
             state: [5] as `Robot` says for its kind, at the moment from which the command is held.
             cost_map: [C,H,W], in the frame of the state; beyond the map is as on its edge. Pass
-                the same object while the map is the same, as what is made from it is kept.
+                the same object while the map is the same, as its distance field is kept.
             goal: [2] x, y, on the map or beyond it.
             anchors: a planner's plan, which knows its age, or anchors, which are entered where the
                 robot is. A plan that is not usable means braking; None means MPPI alone.
-            obstacles: what moves, seen at this moment.
+            obstacles: moving discs, observed at this moment.
             speed_limit: m/s, for this tick; None for the robot's v_max. A faster robot brakes.
 
         Raises:

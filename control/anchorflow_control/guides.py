@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 KEPT_S = 2.0  # that the way left is kept if the next anchors are not clear
 BEYOND = 1.5  # of the longest motion, up to which points of anchors are kept
-ON_ROUTE = 0.75  # of the anchors that are followed, where a plan knows its route
+ON_ROUTE = 0.75  # of the anchors that are followed, if the plan has a route
 
 
 class Guides:
@@ -28,7 +28,7 @@ class Guides:
         """Set up without anchors; discs: [J,3] of the robot's body."""
         self._config, self._tick_s, self._discs = config, tick_s, discs
         self.start_room = np.inf
-        """m beside the robot at this tick, to what stands still."""
+        """Clearance of the robot to static obstacles at this tick, in m."""
         self.reset()
 
     def reset(self) -> None:

@@ -96,7 +96,7 @@ class Robot:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Return the fields of a request that tell this robot, as for `Planner.update`."""
+        """Return the fields of a request that describe this robot, as for `Planner.update`."""
         asked: dict[str, Any] = {"v_max": self.v_max, "a_max": self.a_max}
         if self.is_omni:
             return asked | {"robot_radius": self.radius}

@@ -121,7 +121,7 @@ def clearances(
 ) -> Floats:
     """Return m [K,T] beside the body in states [K,T,5], exact below `enough`.
 
-    moving: with what moves, at the ends of T steps
+    moving: count moving discs too, at the ends of T steps
     """
     rooms = np.empty(states.shape[:2], np.float32)
     clear_of_obstacles(task.around.distance, task.discs, np.float32(enough), states, rooms)

@@ -1,4 +1,4 @@
-"""What is round the robot, as compiled loops look it up: walls, soft costs, what moves.
+"""The surroundings as compiled loops look them up: walls, soft costs, moving discs.
 
 Compiled loops have the robot's place as their origin, so that float32 is exact wherever the map
 lies. Beyond the map, fields are as on its edge.
@@ -76,7 +76,7 @@ class MapFields:
         return Grid(values, np.float32(1.0 / self.cost_map.resolution), *map(np.float32, first))
 
     def around(self, place: NDArray[np.float64], movers: Movers) -> Surroundings:
-        """Return what is round a place [2] in m, from which the movers are seen."""
+        """Return the surroundings as seen from a place [2] in m, as the movers are already."""
         return Surroundings(
             self.grid(self.distance, place), self.grid(self.surcharge, place), movers
         )
@@ -166,7 +166,7 @@ def clear_of_movers(
     states: Floats,
     rooms: Floats,
 ) -> None:
-    """Lower m [K,T] to those between a body of discs [J,3] in states [K,T,5] and what moves.
+    """Lower m [K,T] to those between a body of discs [J,3] in states [K,T,5] and moving discs.
 
     places, radii, counts: of `Movers`
     """
