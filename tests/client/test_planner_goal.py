@@ -199,6 +199,36 @@ def test_the_cards_radius_is_the_default(card: ModelCard) -> None:
         assert kept <= obstacle_distance(CostMap.build(data[None], 0.1), goal[:2]) < kept + 0.2
 
 
+def test_a_body_needs_its_inner_radius_and_any_heading_on_the_way(card: ModelCard) -> None:
+    stage = Carded(card)
+    long = [[-0.6, -0.2], [0.6, -0.2], [0.6, 0.2], [-0.6, 0.2]]
+    body = {"footprint": long, "kinematics": {"kind": "differential"}}
+    data = np.zeros((64, 64), np.float32)
+    data[31:33, 40:] = 1.0
+    for goal, tolerance in ((-1.5, None), (30.0, 0.3)):
+        stage.cycle(
+            cost_map=data,
+            resolution=0.1,
+            x_curr=[0.0] * 9,
+            x_goal=[goal, 0.4, 1.0, 0, 0, 0],
+            **body,
+        )
+        sent = stage.requests[-1]
+        assert sent.warm_start is None
+        assert sent.footprint is not None
+        assert (sent.goal_tolerance and sent.goal_tolerance.position) == tolerance
+        assert sent.goal_tolerance is None or sent.goal_tolerance.heading is None
+    stage.cycle(
+        cost_map=data,
+        resolution=0.1,
+        x_curr=[0.0] * 9,
+        x_goal=[1.5, 0.4, 1.0, 0, 0, 0],
+        **body,
+    )
+    goal = stage.requests[-1].x_goal[0, :2]
+    assert 0.2 <= obstacle_distance(CostMap.build(data[None], 0.1), goal) < 0.4
+
+
 def test_after_an_unsafe_answer_the_robot_stops_at_a_local_goal(stage: Stage) -> None:
     assert through_speed(stage) == 1.0
     stage.reply = nothing_safe

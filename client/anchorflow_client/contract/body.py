@@ -83,6 +83,13 @@ def read_footprint(value: Any) -> NDArray[np.float64]:
     return frozen(corners)
 
 
+def inner_radius(corners: NDArray[np.float64]) -> float:
+    """Return m from the robot's origin to the nearest edge of a footprint [K,2]."""
+    edge = np.roll(corners, -1, 0) - corners
+    apart = edge[:, 1] * corners[:, 0] - edge[:, 0] * corners[:, 1]
+    return float((apart / np.hypot(edge[:, 0], edge[:, 1])).min())
+
+
 def _turns(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the cross products [K] of the edges into and out of each corner."""
     into, out = corners - np.roll(corners, 1, 0), np.roll(corners, -1, 0) - corners

@@ -22,6 +22,7 @@ from anchorflow_client.contract import (
     SamplerChoice,
     WarmStart,
 )
+from anchorflow_client.contract.body import inner_radius, read_footprint
 from anchorflow_client.contract.checks import (
     MAX_DIMENSIONS,
     as_array,
@@ -154,8 +155,12 @@ class AnchorInUse:
         )
 
 
+LOCAL_GOAL_M = 0.3
+"""How far from a local goal a body may end."""
+
+
 class RobotLimits(NamedTuple):
-    """v_max: m/s, infinite if unknown; radius: m, None if unknown."""
+    """v_max: m/s, infinite if unknown; radius: m, None if unknown; a footprint's inner one."""
 
     v_max: float
     radius: float | None
@@ -172,11 +177,14 @@ class LimitsSource:
         """Return the limits for a request with these options.
 
         Raises:
-            InvalidRequest: the `v_max`, `robot_radius` or `model` among the options is invalid.
+            InvalidRequest: the `v_max`, `robot_radius`, `footprint` or `model` among the options
+                is invalid.
         """
         v_max, radius = options.get("v_max"), options.get("robot_radius")
         v_max = None if v_max is None else number(v_max, "v_max", V_MAX)
         radius = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
+        if (footprint := options.get("footprint")) is not None:
+            radius = inner_radius(read_footprint(footprint))
         if v_max is None or radius is None:
             model = options.get("model")
             card = self._card(None if model is None else text(model, "model"))
@@ -248,6 +256,8 @@ def build_request(
             seen.seen_at, config.warm_tau, horizon_s=seen.options.get("horizon_s")
         )
     added = {"budget_ms": budget_ms, "warm_start": warm_start} | dict(seen.options)
+    if not seen.options.keys().isdisjoint(BODY_OPTIONS) and (goal[:2] != seen.x_goal[:2]).any():
+        added["goal_tolerance"] = GoalTolerance(LOCAL_GOAL_M)  # any heading will do on the way
     refine = RefineChoice.from_fields(added.get("refine", {}))
     if config.margin_m > 0.0 and refine.certified_margin is None:
         if limits.radius is not None:  # no anchor can keep more than its start
