@@ -27,7 +27,8 @@ import numpy as np
 from numba.core.registry import cpu_target
 
 from anchorflow_trajectory.bodies.outline import Outline
-from anchorflow_trajectory.bodies.planner import Body, BodyPlanner
+from anchorflow_trajectory.bodies.planner import BodyPlanner
+from anchorflow_trajectory.bodies.scene import Body, BodyScene
 from anchorflow_trajectory.bodies.wheels import Wheels
 from anchorflow_trajectory.compiled import code_folder
 from anchorflow_trajectory.cost.clearance import GridField
@@ -136,7 +137,7 @@ def _run_poses() -> None:
         for each in work:
             each()
 
-    BodyPlanner(scene, body, (0.1, 0.1), steps=8, run=run).plan(2, 0)
+    BodyPlanner(BodyScene(scene, body, (0.1, 0.1)), steps=8, run=run).plan(2, 0)
 
 
 @contextmanager

@@ -10,7 +10,8 @@ from anchorflow_service.engine.conditioning.cost_map import MapScene, outline_of
 from anchorflow_service.engine.interfaces import DT, Arrays
 from anchorflow_service.engine.later_loops import POSE_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
-from anchorflow_trajectory.bodies.planner import Body, BodyPlanner
+from anchorflow_trajectory.bodies.planner import BodyPlanner
+from anchorflow_trajectory.bodies.scene import Body, BodyScene
 from anchorflow_trajectory.bodies.wheels import Wheels
 
 
@@ -48,14 +49,14 @@ class PosePlanner:
             for each in work:
                 each()
 
-        planner = BodyPlanner(
+        problem = BodyScene(
             scene.scene,
             Body(outline_of(request), wheels_of(request.kinematics)),
             (0.0, 0.0) if tolerance is None else (tolerance.position, tolerance.heading),
-            self._steps,
-            run,
         )
-        found = planner.plan(request.num_samples, request.seed, request.certified_margin)
+        found = BodyPlanner(problem, self._steps, run).plan(
+            request.num_samples, request.seed, request.certified_margin
+        )
         own = {DT: found.duration / (self._steps - 1)} if scene.limits.horizon_s is None else {}
         return {
             "trajectories": found.positions,

@@ -19,7 +19,8 @@ from anchorflow_trajectory.bodies.motion import (
     tabulate,
 )
 from anchorflow_trajectory.bodies.outline import Outline, ground_of
-from anchorflow_trajectory.bodies.search import Guide, Target, find_way, guide_along
+from anchorflow_trajectory.bodies.search import Guide, find_way, guide_along
+from anchorflow_trajectory.bodies.shots import Target
 from anchorflow_trajectory.bodies.wheels import (
     BACKWARD,
     FORWARD,

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.bodies.outline import Ground, touches
-from anchorflow_trajectory.bodies.wheels import BACKWARDS, TURNING, Moves
+from anchorflow_trajectory.bodies.shots import Target, direct_way
+from anchorflow_trajectory.bodies.wheels import Moves
 from anchorflow_trajectory.compiled import compiled
 
 GREED = 1.4  # factor on what is left
@@ -23,7 +24,6 @@ ASIDE = 1.6  # m of way that a metre beside the route counts
 TABLE = 1 << 17  # places for poses, a power of two
 MOST_NODES = 60_000
 ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
-LEG = 0.06  # m or a fifth of a rad between two poses that are tested on the way to a goal
 NEAR = 3.0  # m from the goal within which it is tried directly
 FURTHER = 150  # poses expanded after a first way
 EMPTY = -1
@@ -36,13 +36,6 @@ class Guide(NamedTuple):
     x: float
     y: float
     resolution: float
-
-
-class Target(NamedTuple):
-    """Where ways end: a pose [3], whose heading may not count."""
-
-    pose: FloatArray
-    heading: bool
 
 
 class Nodes(NamedTuple):
@@ -139,7 +132,9 @@ def find_way(
         at = nodes.poses[node]
         away = np.hypot(at[0] - target.pose[0], at[1] - target.pose[1])
         if away < NEAR or expanded % 8 == 1:
-            shot, cost = _shot(ground, corners, reach, moves, at, nodes.gears[node], target, spans)
+            shot, cost = direct_way(
+                ground, corners, reach, moves, at, nodes.gears[node], target, spans
+            )
             stays = nodes.driven[node] >= braking or (
                 len(shot) > 0 and shot[0, 3] == nodes.gears[node]
             )
@@ -297,151 +292,4 @@ def _walked(nodes: Nodes, node: int, moves: Moves, shot: FloatArray) -> NDArray[
             way[row, 2], way[row, 3] = before[2] + turn, moves.gears[move]
         at = nodes.parents[at]
     way[1 + steps * looks :] = shot
-    return way
-
-
-@compiled
-def _shot(
-    ground: Ground,
-    corners: FloatArray,
-    reach: float,
-    moves: Moves,
-    at: FloatArray,
-    gear: int,
-    target: Target,
-    spans: FloatArray,
-) -> tuple[NDArray[np.float64], float]:
-    """The cheapest direct way [P, 4] from a pose to the target that touches nothing, and its cost.
-
-    It is a turn, a straight line and, where the heading counts, another turn.
-    """
-    best, best_cost = np.empty((0, 4)), np.inf
-    legs, found = np.empty((3, 2)), np.empty((0, 4))
-    turns_last = target.heading and not moves.spot
-    for way in range(2 if moves.reverse else 1):
-        sign = 1.0 - 2.0 * way
-        price = 1.0 if sign > 0.0 else BACKWARDS
-        for word in range(4 if turns_last else 2):
-            first = 1.0 if word % 2 == 0 else -1.0
-            last = first if word < 2 else -first
-            if turns_last:
-                fits = _two_turns(at, target.pose, sign, first, last, moves.radius, legs)
-            else:
-                fits = _one_turn(at, target.pose, sign, first, moves.radius, legs)
-            if not fits or abs(legs[0, 1]) > 1.25 * np.pi or abs(legs[2, 1]) > 1.25 * np.pi:
-                continue
-            cost = price * (legs[0, 0] + legs[1, 0] + legs[2, 0])
-            if int(sign) != gear:
-                cost += moves.stop
-            if cost >= best_cost:
-                continue
-            found = _drawn(at, sign, legs, target, moves.spot)
-            cost += _cost_of_turn(found, moves)
-            clear = True
-            for k in range(len(found)):
-                if touches(ground, corners, reach, found[k, :3], spans):
-                    clear = False
-                    break
-            if clear:
-                best, best_cost = found, cost
-    return best, best_cost
-
-
-@compiled
-def _cost_of_turn(way: FloatArray, moves: Moves) -> float:
-    """m, what a last turn on the spot costs of a way [P, 4]."""
-    first = len(way)
-    while first and way[first - 1, 3] == TURNING:
-        first -= 1
-    if first == len(way):
-        return 0.0
-    return moves.stop + moves.spin * abs(way[-1, 2] - way[max(first - 1, 0), 2])
-
-
-@compiled
-def _one_turn(
-    at: FloatArray, goal: FloatArray, sign: float, side: float, radius: float, legs: FloatArray
-) -> bool:
-    """Whether a turn to one side and a line lead to a point; legs [3, 2]: m and signed rad each.
-
-    sign: 1 forwards, -1 backwards; side: 1 for a circle to the left of the way
-    """
-    heading = at[2] if sign > 0.0 else at[2] + np.pi
-    x, y = at[0] - side * radius * np.sin(heading), at[1] + side * radius * np.cos(heading)
-    away = np.hypot(goal[0] - x, goal[1] - y)
-    if away < radius:
-        return False
-    line = np.sqrt(away * away - radius * radius)
-    toward = np.arctan2(goal[1] - y, goal[0] - x)
-    end = toward + side * np.arctan2(radius, line)
-    turn = side * ((side * (end - heading)) % (2.0 * np.pi))
-    if abs(turn) > 2.0 * np.pi - 1e-6:
-        turn = 0.0
-    legs[0, 0], legs[0, 1] = radius * abs(turn), turn
-    legs[1, 0], legs[1, 1] = line, 0.0
-    legs[2] = 0.0
-    return True
-
-
-@compiled
-def _two_turns(
-    at: FloatArray,
-    goal: FloatArray,
-    sign: float,
-    first: float,
-    last: float,
-    radius: float,
-    legs: FloatArray,
-) -> bool:
-    """Whether a turn, a line and a turn lead to a pose (Dubins, 1957); legs as in `_one_turn`."""
-    back = 0.0 if sign > 0.0 else np.pi
-    begin, end = at[2] + back, goal[2] + back
-    x = goal[0] - last * radius * np.sin(end) - at[0] + first * radius * np.sin(begin)
-    y = goal[1] + last * radius * np.cos(end) - at[1] - first * radius * np.cos(begin)
-    away, along = np.hypot(x, y), np.arctan2(y, x)
-    if first == last:
-        line = away
-    else:
-        if away < 2.0 * radius:
-            return False
-        line = np.sqrt(away * away - 4.0 * radius * radius)
-        along += first * np.arctan2(2.0 * radius, line)
-    for leg, side, turn in ((0, first, along - begin), (2, last, end - along)):
-        angle = (side * turn) % (2.0 * np.pi)
-        if angle > 2.0 * np.pi - 1e-6:
-            angle = 0.0
-        legs[leg, 0], legs[leg, 1] = radius * angle, side * angle
-    legs[1, 0], legs[1, 1] = line, 0.0
-    return True
-
-
-@compiled
-def _drawn(
-    at: FloatArray, sign: float, legs: FloatArray, target: Target, spot: bool
-) -> NDArray[np.float64]:
-    """The poses [P, 4] along legs, with a last turn on the spot where the heading counts."""
-    counts = np.zeros(4, np.int64)
-    for leg in range(3):
-        if legs[leg, 0] > 1e-6:
-            counts[leg] = int(np.ceil(max(legs[leg, 0] / LEG, abs(legs[leg, 1]) / 0.2)))
-    x, y, heading = at[0], at[1], at[2]
-    total = legs[0, 1] + legs[1, 1] + legs[2, 1]
-    final = 0.0
-    if target.heading and spot:
-        final = (target.pose[2] - heading - total + np.pi) % (2.0 * np.pi) - np.pi
-        counts[3] = int(np.ceil(abs(final) / 0.1)) if abs(final) > 1e-3 else 0
-    way, row = np.empty((counts.sum(), 4)), 0
-    for leg in range(3):
-        for _ in range(counts[leg]):
-            step, turn = sign * legs[leg, 0] / counts[leg], legs[leg, 1] / counts[leg]
-            chord = step * (np.sin(turn / 2.0) / (turn / 2.0) if abs(turn) > 1e-9 else 1.0)
-            x += chord * np.cos(heading + turn / 2.0)
-            y += chord * np.sin(heading + turn / 2.0)
-            heading += turn
-            way[row] = x, y, heading, sign
-            row += 1
-    for _ in range(counts[3]):
-        heading += final / counts[3]
-        way[row] = x, y, heading, 0.0
-        row += 1
     return way

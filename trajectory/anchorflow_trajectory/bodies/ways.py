@@ -1,0 +1,180 @@
+"""Ways of a body: searched along the map's routes, and split into stretches of one gear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory import FloatArray
+from anchorflow_trajectory.bodies.curves import KEPT, LAST, basis_for, fitted
+from anchorflow_trajectory.bodies.motion import COLUMNS, tabulate
+from anchorflow_trajectory.bodies.scene import BodyScene
+from anchorflow_trajectory.bodies.search import Guide, find_way, guide_along
+from anchorflow_trajectory.bodies.shots import Target
+from anchorflow_trajectory.bodies.wheels import TURNING, moves_of
+from anchorflow_trajectory.routes.search import Route
+from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
+
+Run = Callable[[Sequence[Callable[[], None]]], None]
+"""Calls functions, side by side if it likes."""
+
+GUIDE_CELLS, GUIDE_STEP = 64, 0.15  # most cells of a guide's side, and m between its points
+TRIES = ((0.035, 1.0), (0.015, 1.0), (0.013, 0.5))
+"""Margins [m] about the outline that a search keeps, and its cell in shares of the usual one."""
+MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'
+BRAKING = 0.7  # share of a_max
+FINE = 8  # rows of a span
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A part of a way in one gear: its basis and base curve, or on the spot its poses [2, 3]."""
+
+    gear: int
+    poses: FloatArray
+    basis: SplineBasis | None
+    control: FloatArray
+    held: int
+    last: int
+
+    @property
+    def rows(self) -> int:
+        """Rows of its table."""
+        if self.basis is None:
+            return FINE
+        return FINE * (self.basis.num_control_points - DEGREE) + 1
+
+    def tables(self, controls: FloatArray | None, count: int) -> NDArray[np.float64]:
+        """Return tables [N, R, 6] of its curves [N, K, 2]."""
+        if self.basis is None or controls is None:
+            rows = np.zeros((FINE, COLUMNS))
+            share = np.linspace(0.0, 1.0, FINE)[:, None]
+            first, last = self.poses[0], self.poses[-1]
+            rows[:, :1] = share * abs(last[2] - first[2])
+            rows[:, 1:4] = first + share * (last - first)
+            return np.broadcast_to(rows, (count, FINE, COLUMNS))
+        rows = np.empty((count, self.rows, COLUMNS))
+        band = spline_basis(self.rows, num_control_points=self.basis.num_control_points)
+        tabulate(controls, band.band(np.float64), self.gear, float(self.poses[0, 2]), rows)
+        return rows
+
+
+@dataclass(frozen=True, eq=False)
+class WaySearch:
+    """Finds the ways of a problem; run: of the searches."""
+
+    problem: BodyScene
+    run: Run
+
+    def find(self, certified: float) -> list[list[Stretch]]:
+        """Return the ways on which the body fits, the cheapest first; at least one."""
+        routes = self.problem.scene.routes[:MOST_WAYS]
+        for margin, finer in TRIES:
+            found: list[NDArray[np.float64]] = [np.empty((0, 4))] * len(routes)
+
+            def search(k: int, margin: float = margin, finer: float = finer) -> None:
+                most = FEWER_POSES if k else MOST_POSES
+                cell = finer * self.problem.cell
+                found[k] = self._search(routes[k], margin + certified, cell, most)  # noqa: B023
+
+            self.run([partial(search, k) for k in range(len(routes))])
+            if ways := self._different([way for way in found if len(way) > 1]):
+                return [self._stretches(way) for way in ways]
+        return [self._stretches(self._along(routes))]
+
+    def _search(self, route: Route, margin: float, cell: float, most: int) -> NDArray[np.float64]:
+        """Return a way [P, 4] along a route, or an empty one."""
+        scene, start = self.problem.scene, self.problem.start
+        outline = self.problem.body.outline.grown(margin)
+        motion = scene.motion
+        origin = np.asarray(scene.origin, np.float64)
+        size = np.array(scene.occupied.shape) * scene.resolution
+        fine = max(2.0 * cell, float(size.max()) / GUIDE_CELLS)
+        legs = np.hypot(*np.diff(route.points, axis=0).T)
+        marks = np.append(0.0, legs.cumsum())
+        at = np.linspace(0.0, marks[-1], max(2, int(marks[-1] / max(GUIDE_STEP, fine))))
+        points = np.stack([np.interp(at, marks, axis) for axis in route.points.T], 1)
+        shape = (int(np.ceil(size[0] / fine)), int(np.ceil(size[1] / fine)))
+        left = guide_along(points, marks[-1] - at, shape, origin, fine)
+        dear = scene.surcharge
+        way, _ = find_way(
+            self.problem.ground,
+            outline.corners,
+            outline.reach,
+            moves_of(self.problem.body.wheels, cell=cell, v_max=motion.v_max, a_max=motion.a_max),
+            cell,
+            Guide(left, float(origin[0]), float(origin[1]), fine),
+            np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
+            start,
+            self.problem.first_gear,
+            0.5 * self.problem.first_speed**2 / (BRAKING * motion.a_max),
+            Target(self.problem.goal, self.problem.heading_counts),
+            most,
+        )
+        return way
+
+    def _different(self, ways: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+        """Return the ways that differ in the sides or gears they take, the shortest first."""
+        kept: dict[object, NDArray[np.float64]] = {}
+        for way in sorted(ways, key=self._cost):
+            gears = tuple(gear for gear, other in pairwise([*way[1:, 3], 9.0]) if gear != other)
+            key = (gears, *self.problem.classes(way[None, :, :2]))
+            kept.setdefault(key, way)
+        return list(kept.values())
+
+    def _cost(self, way: NDArray[np.float64]) -> float:
+        """s that a way takes about."""
+        motion, wheels = self.problem.scene.motion, self.problem.body.wheels
+        length = np.hypot(*np.diff(way[:, :2], axis=0).T).sum()
+        turned = np.abs(np.diff(way[:, 2]))[way[1:, 3] == TURNING].sum()
+        stops = np.count_nonzero(np.diff(way[1:, 3]))
+        lasts = length / motion.v_max + turned / wheels.omega_max
+        return float(lasts + stops * motion.v_max / motion.a_max)
+
+    def _along(self, routes: Sequence[Route]) -> NDArray[np.float64]:
+        """Return the way [P, 4] along the cheapest route, for a body that fits on none."""
+        ends = np.stack([self.problem.start[:2], self.problem.goal[:2]])
+        points = routes[0].points if routes else ends
+        legs = np.diff(points, axis=0)
+        points = points[np.append(True, np.hypot(*legs.T) > 1e-6)]
+        if len(points) < 2:
+            points = np.stack([points[0], points[0] + 1e-3])
+        heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
+        turn = (heading[0] - self.problem.start[2] + np.pi) % (2.0 * np.pi) - np.pi
+        heading += self.problem.start[2] + turn - heading[0]
+        way = np.ones((len(points), 4))
+        way[:, :2], way[:, 2] = points, np.append(heading, heading[-1])
+        if self.problem.body.wheels.spot and abs(turn) > 1e-3:
+            on_spot = np.array(
+                [[*points[0], self.problem.start[2], 1.0], [*points[0], heading[0], 0.0]]
+            )
+            return np.concatenate([on_spot, way[1:]])
+        way[0, 2] = self.problem.start[2]
+        return way
+
+    def _stretches(self, way: NDArray[np.float64]) -> list[Stretch]:
+        """Split a way where its gear changes, and fit curves to what is driven."""
+        cuts = np.flatnonzero(np.diff(way[1:, 3])) + 1
+        bounds = [0, *cuts.tolist(), len(way) - 1]
+        stretches = []
+        for k, (begin, end) in enumerate(pairwise(bounds)):
+            gear = int(way[end, 3])
+            poses = way[begin : end + 1, :3]
+            if gear == TURNING:
+                empty = np.empty((0, 2))
+                stretches.append(Stretch(gear, poses[[0, -1]], None, empty, 0, 0))
+                continue
+            fixed_end = k < len(bounds) - 2 or self.problem.heading_counts
+            length = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+            basis = basis_for(length, self.problem.cell)
+            bend = self.problem.first_bend if k == 0 and self.problem.moves else None
+            control = fitted(poses, basis, gear, fixed_end=fixed_end, bend=bend)
+            held = KEPT + (bend is not None)
+            last = LAST if fixed_end else 1
+            stretches.append(Stretch(gear, poses, basis, control, held, last))
+        return stretches
