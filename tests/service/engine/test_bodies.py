@@ -163,7 +163,7 @@ def test_what_moves_is_waited_for_or_passed(engine: Engine) -> None:
     assert anchors.safe.any()
     blind = asked(engine, FREE, start, goal)
 
-    def gap(batch: AnchorBatch, n: int) -> float:
+    def gap(batch: AnchorBatch, n: int | np.integer) -> float:
         times = np.linspace(0.0, batch.durations[n], batch.trajectories.shape[1])
         fine = np.linspace(0.0, times[-1], 2000)
         x, y, heading = (np.interp(fine, times, z) for z in batch.trajectories[n].T)

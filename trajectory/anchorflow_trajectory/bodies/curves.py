@@ -100,7 +100,7 @@ def value_at(grid: Grid, x: float, y: float) -> float:
 
 @compiled
 def settle(
-    controls: NDArray[np.float64],
+    controls: FloatArray,
     margins: FloatArray,
     band: Band,
     held: int,

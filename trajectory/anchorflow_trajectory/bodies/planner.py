@@ -68,7 +68,7 @@ class BodyPlanner:
         clear = 0.5 * RIM + BETWEEN + certified + CLOSE + self.problem.scene.resolution
         most_bend = ALLOWED / wheels.min_radius if wheels.min_radius > 0.0 else np.inf
 
-        def checked(controls: list[FloatArray]) -> tuple[FloatArray, BoolArray, FloatArray]:
+        def checked(controls: Sequence[FloatArray]) -> tuple[FloatArray, BoolArray, FloatArray]:
             number = max(len(each) for each in controls)
             rows = [s.tables(c, number) for s, c in zip(way, controls, strict=True)]
             table = np.concatenate(rows, axis=1)
