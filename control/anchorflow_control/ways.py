@@ -11,6 +11,7 @@ from anchorflow_trajectory.compiled import compiled
 Floats = NDArray[np.float32]
 
 NONE = np.float32(0.0)
+APART = np.float32(0.7)  # m between the end of a motion and the path of another
 SHORTEST = np.float32(0.02)  # m, by which the line between two motions is followed at least
 
 
@@ -25,10 +26,13 @@ def is_same_way(
 ) -> bool:
     """Return whether the straight lines between two motions [T,5] meet no obstacle.
 
-    The places of one moment are joined: a motion before and one behind a mover differ too.
+    The places of one moment are joined: a motion before and one behind a mover differ too. So do
+    motions that end APART m beside each other, as obstacles may follow.
 
     distance: m to obstacles; places, radii, counts: of `Movers`
     """
+    if min(_beside(states, others), _beside(others, states)) > APART:
+        return False
     for t in range(len(states)):
         x, y = states[t, 0], states[t, 1]
         by_x, by_y = others[t, 0] - x, others[t, 1] - y
@@ -44,6 +48,16 @@ def is_same_way(
                 return False
             at += max(room, SHORTEST)
     return True
+
+
+@compiled
+def _beside(states: Floats, others: Floats) -> np.float32:
+    """Return m from the end of a motion [T,5] to the path of another."""
+    end, least = len(states) - 1, np.float32(np.inf)
+    for t in range(len(others)):
+        across, along = others[t, 0] - states[end, 0], others[t, 1] - states[end, 1]
+        least = min(least, np.sqrt(across * across + along * along))
+    return least
 
 
 @compiled

@@ -272,26 +272,30 @@ def test_a_robot_in_touch_with_a_wall_drives_away(robot: Robot) -> None:
     assert np.linalg.norm(driven.places[-1] - [-3.0, 0.0]) < 0.5
 
 
-def test_it_keeps_to_its_way_though_scores_change(robot: Robot) -> None:
-    """Two equal ways, whose order changes at every tick, and a map that does too."""
+def test_it_keeps_to_its_way_though_the_better_one_changes() -> None:
+    """At every tick the anchors of the other side are those off the route, 0.2 m dearer."""
+    robot = Robot(kind="omni", v_max=1.0, a_max=1.5, radius=0.3)
     batch = round_the_wall()
-    turned = batch_of(
-        *zip(
-            batch.trajectories[::-1], batch.velocities[::-1], batch.accelerations[::-1], strict=True
-        ),
-        dt=11.0 / 63,
-        routes=np.array([0, 1]),
-    )
-    higher = square_map((slice(40, 61), slice(48, 52)))
 
     def at_tick(tick: int, _: np.ndarray) -> dict[str, Any]:
-        plan = aged((batch, turned)[tick % 2], tick)
-        told = Plan(PlanState.FRESH, batch=plan.batch, age_ms=plan.age_ms)
-        return {"cost_map": (WALL, higher)[tick // 3 % 2], "goal": [3.0, 0.0], "anchors": told}
+        plan = Plan(
+            PlanState.FRESH,
+            batch=batch,
+            age_ms=50.0 * tick,
+            best=tick % 2,
+            on_route=np.arange(2) == tick % 2,
+        )
+        return {"cost_map": WALL, "goal": [3.0, 0.0], "anchors": plan}
 
-    driven = drive(MppiController(robot, SMALL, tick_s=0.05), START, ticks=60, at_tick=at_tick)
-    sides = np.sign([command.motion[-1, 1] for command in driven.commands[5:]])
-    assert (sides == sides[0]).all()
+    def turns(switch_cost: float) -> int:
+        config = MppiConfig(motions=256, steps=30, off_route=0.2, switch_cost=switch_cost)
+        controller = MppiController(robot, config, tick_s=0.05)
+        driven = drive(controller, START, ticks=50, at_tick=at_tick)
+        sides = np.sign([command.motion[-1, 1] for command in driven.commands])
+        return int((np.diff(sides) != 0.0).sum())
+
+    assert turns(switch_cost=1.0) == 0
+    assert turns(switch_cost=0.0) > 3
 
 
 def test_the_same_seed_is_the_same_drive() -> None:
