@@ -13,6 +13,7 @@ import yaml
 
 from anchorflow_cli import serve
 from anchorflow_service.http.tokens import scopes_for
+from anchorflow_trajectory.warm_up import USUAL_S
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCKER = ROOT / "docker"
@@ -132,6 +133,29 @@ def test_kserve_runs_the_image_by_its_protocol() -> None:
     assert predictor["model"]["modelFormat"]["name"] in formats
     assert predictor["model"]["protocolVersion"] in RUNTIME["spec"]["protocolVersions"]
     assert predictor["terminationGracePeriodSeconds"] > options["notice_s"] + options["drain_s"]
+
+
+def test_kubernetes_waits_for_a_first_start_and_for_the_drain() -> None:
+    deployment, service = yaml.safe_load_all(
+        (DOCKER / "kubernetes" / "anchorflow.yaml").read_text()
+    )
+    pod = deployment["spec"]["template"]
+    (container,) = pod["spec"]["containers"]
+    options = parsed(container["args"])
+    (port,) = container["ports"]
+
+    assert container["image"] == COMPOSE["services"]["planner-1"]["image"]
+    assert port["containerPort"] == options["port"]
+    for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
+        asked = container[probe]["httpGet"]
+        assert asked["port"] == port["name"]
+        assert not scopes_for("GET", asked["path"])  # a probe has no token
+    start = container["startupProbe"]
+    assert start["periodSeconds"] * start["failureThreshold"] >= 2 * sum(USUAL_S.values())
+    assert pod["spec"]["terminationGracePeriodSeconds"] > options["notice_s"] + options["drain_s"]
+    assert deployment["spec"]["selector"]["matchLabels"] == pod["metadata"]["labels"]
+    assert service["spec"]["selector"] == pod["metadata"]["labels"]
+    assert [each["targetPort"] for each in service["spec"]["ports"]] == [port["name"]]
 
 
 @pytest.mark.parametrize("path", files(), ids=lambda path: path.relative_to(DOCKER).as_posix())

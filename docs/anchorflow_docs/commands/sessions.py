@@ -328,6 +328,8 @@ BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "ma
 """Commands of `.ci/run` itself."""
 
 NOT_RUN = {
+    r"g\+\+ |\./anchors ": "needs libcurl's headers; tests/examples compiles and runs it with them",
+    r"kubectl ": "needs a cluster",
     r"make bench|anchorflow bench ": "runs for minutes on all cores; tests/benchmarks runs less",
     r"(\.venv/bin/)?anchorflow (train|distill) ": "trains for the better part of an hour or more",
     r"anchorflow data (make|drive|anchors|sensors) ": "draws scenes for a quarter of an hour",
