@@ -68,25 +68,25 @@ clean:  ## Remove .venv, caches and what was built
 $(VENV)/.created:
 	@echo "Making $(VENV)"
 	@$(PYTHON) -m venv $(VENV)
-	touch $@
+	@touch $@
 
 $(VENV)/.service: pyproject.toml $(VENV)/.created
 	$(call install_and_compile,--editable '.[service$(COMMA)language]',about a minute,still)
-	touch $@
+	@touch $@
 
 $(VENV)/.toolkit: pyproject.toml $(VENV)/.created
 	@echo "Installing $(TORCH)"
 	@$(PIP) install '$(TORCH)'
 	$(call install_and_compile,--editable '.[service$(COMMA)train$(COMMA)plot]',two to three minutes)
-	touch $@
+	@touch $@
 
 $(VENV)/.docs: pyproject.toml $(VENV)/.created
 	@echo "Installing --editable '.[docs]'"
 	@$(PIP) install --editable '.[docs]'
-	touch $@
+	@touch $@
 
 $(VENV)/.dev: pyproject.toml $(VENV)/.created
 	@echo "Installing $(TORCH)"
 	@$(PIP) install '$(TORCH)'
 	$(call install_and_compile,--editable '.[dev]',two to three minutes)
-	touch $@
+	@touch $@
