@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 from importlib.metadata import requires
 from pathlib import Path
 
@@ -34,3 +35,17 @@ def test_zenoh_is_one_package_more(project: ProjectMetadata) -> None:
 @pytest.mark.parametrize("name", ["numpy", "eclipse-zenoh"])
 def test_neither_brings_another(name: str) -> None:
     assert not [line for line in requires(name) or [] if "extra ==" not in line]
+
+
+def test_every_extra_that_a_text_names_exists(project: ProjectMetadata) -> None:
+    texts = subprocess.run(
+        ["git", "grep", "-hoE", r"pip install [^`]*\[[a-z,]+\]", "--", "*.py", "*.md", "Makefile"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    ).stdout
+    named = {extra for group in re.findall(r"\[([a-z,]+)\]", texts) for extra in group.split(",")}
+    assert named
+    assert named <= set(project.core.optional_dependencies)
+    assert not re.findall(r"pip install '?\.\[", texts)  # would replace an editable install

@@ -49,7 +49,7 @@ class _Retrying(ABC, Generic[Inner, Slept]):
                 that clients that failed together do not retry together.
 
         Raises:
-            ValueError: a time is not above 0.
+            UsageError: a time is not above 0.
         """
         self._client = client
         times_s = {
