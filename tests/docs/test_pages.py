@@ -18,6 +18,7 @@ from anchorflow_client import (
     OipCodec,
     RequestError,
     TransportError,
+    UsageError,
 )
 from anchorflow_docs.page_blocks import programs_of
 
@@ -99,7 +100,7 @@ def test_a_program_is_what_stands_under_its_mark(tmp_path: Path) -> None:
 
 
 def test_every_error_hangs_on_the_tree_in_its_place() -> None:
-    kinds = (RequestError, TransportError)
+    kinds = (RequestError, TransportError, UsageError)
     expected = [name for kind in kinds for name in (kind, *kind.__subclasses__())]
 
     drawn = BRANCH.findall((DOCS / "clients.md").read_text(encoding="utf-8"))

@@ -39,8 +39,8 @@ def scene(
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        (scene(((40, 8),)), "the start is 0.150 m from an obstacle, and robot_radius is 0.25 m"),
-        (scene(((40, 72),)), "the goal is 0.150 m from an obstacle, and robot_radius is 0.25 m"),
+        (scene(((41, 8),)), "the start is 0.150 m from an obstacle, and robot_radius is 0.25 m"),
+        (scene(((41, 71),)), "the goal is 0.150 m from an obstacle, and robot_radius is 0.25 m"),
         (scene(velocity=5.0), "the start moves at 5.00 m/s, and v_max is 2 m/s"),
         (scene(pull=6.0), "the start accelerates by 6.00 m/s^2, and a_max is 3 m/s^2"),
         (scene(ROOM), "no way leads from the start to the goal: obstacles enclose the goal"),
@@ -69,7 +69,7 @@ def test_the_cause_is_named(asked: Scene, words: str) -> None:
 
 def test_a_margin_counts() -> None:
     near = scene(((40, 6),))
-    told = why_unsafe(near, np.array([0.09]), certified_margin=0.09)
-    assert "the start keeps 0.100 m of the 0.090 m that are asked for and 0.030 m" in told
+    told = why_unsafe(near, np.array([0.04]), certified_margin=0.04)
+    assert "the start keeps 0.052 m of the 0.040 m that are asked for and 0.030 m" in told
     told = why_unsafe(scene(), np.array([0.2]), certified_margin=0.1)
     assert "those that have room break a limit or keep the margin only just" in told
