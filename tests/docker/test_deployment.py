@@ -13,7 +13,7 @@ import yaml
 
 from anchorflow_cli import serve
 from anchorflow_service.http.tokens import scopes_for
-from anchorflow_trajectory.warm_up import USUAL_S
+from anchorflow_trajectory.warm_up import STILL, USUAL_S
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCKER = ROOT / "docker"
@@ -151,7 +151,7 @@ def test_kubernetes_waits_for_a_first_start_and_for_the_drain() -> None:
         assert asked["port"] == port["name"]
         assert not scopes_for("GET", asked["path"])  # a probe has no token
     start = container["startupProbe"]
-    assert start["periodSeconds"] * start["failureThreshold"] >= 2 * sum(USUAL_S.values())
+    assert start["periodSeconds"] * start["failureThreshold"] >= 3 * USUAL_S[STILL]
     assert pod["spec"]["terminationGracePeriodSeconds"] > options["notice_s"] + options["drain_s"]
     assert deployment["spec"]["selector"]["matchLabels"] == pod["metadata"]["labels"]
     assert service["spec"]["selector"] == pod["metadata"]["labels"]
