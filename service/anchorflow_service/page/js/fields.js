@@ -10,6 +10,7 @@ import { byId, clamp, make, plain, showFill } from "./dom.js";
 const NOT_IN_FORM = new Set([
   "cost_map", "x_curr", "x_goal", "w_style", "inputs", "outputs", "model", "warm_start",
   "obstacles", "budget_ms", "robot_id", "request_id",
+  "kinematics", // needs headings, which the page draws for bundles that have them alone
 ]);
 /**
  * How the page shows some fields: the block of the form, the label, the end of the slider if there
