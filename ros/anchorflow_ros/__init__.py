@@ -11,5 +11,5 @@ outputs     plans, commands and faults as messages
 node        the lifecycle node; `simulator` is a robot for it
 
 `outputs`, `node` and `simulator` need `rclpy` and ROS's messages, from a robot's own ROS or by
-`pip install 'anchorflow[ros]'`; the others need numpy and numba.
+the extra `[ros]`; the others need numpy and numba.
 """
