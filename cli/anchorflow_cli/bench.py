@@ -16,6 +16,7 @@ BENCHMARKS = {
     "latency": benchmark("latency:latency", "Time a request in this process by stage."),
     "earns": benchmark("network_ablation:earns", "Compare bundles with a search for routes."),
     "soft-costs": benchmark("soft_costs:soft_costs", "Judge anchors on dear ground."),
+    "bodies": benchmark("bodies:bodies", "Judge anchors of robots with a footprint and wheels."),
     "crowds": benchmark("crowds.contest:crowds", "Drive a robot among people."),
     "load": benchmark("load:load", "Load a server with closed-loop clients."),
     "zenoh": benchmark("transports:zenoh", "Time HTTP and zenoh beside the engine."),

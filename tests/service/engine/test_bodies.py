@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from asked_engine import plan
-from body_judge import BodyJudge, ahead, driven, sideways
 
+from anchorflow_benchmarks.body_judge import BodyJudge, ahead, driven, sideways
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from body_judge import BodyJudge
 
+from anchorflow_benchmarks.body_judge import BodyJudge
 from anchorflow_trajectory.bodies.outline import Outline, covered, ground_of, touches
 
 RESOLUTION = 0.1

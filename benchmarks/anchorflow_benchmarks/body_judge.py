@@ -1,4 +1,4 @@
-"""What a test asks of poses, found by points and small steps, and by no code of the planner."""
+"""A judge of poses: points of the outline along small steps, and no code of the planner."""
 
 from __future__ import annotations
 

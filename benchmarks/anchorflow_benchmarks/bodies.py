@@ -1,0 +1,260 @@
+"""Judge anchors of robots with an outline and wheels, in places that are narrow for them.
+
+The rivals are what a user has without a footprint: the disc about the outline, which is safe and
+fits through less, and the disc inside of it, which is not safe; and the searched ways themselves,
+hybrid A* as it comes. Run by `anchorflow bench bodies`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+from anchorflow_benchmarks import options
+from anchorflow_benchmarks.body_judge import BodyJudge, ahead, sideways
+from anchorflow_benchmarks.report import ResultTable, Row, progress, report
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, resolve_for_card
+from anchorflow_service.bundle import load_bundle
+from anchorflow_service.engine import Engine
+from anchorflow_trajectory.bodies import planner as body_planner
+
+CELLS, RESOLUTION = 160, 0.05
+V_MAX, A_MAX, OMEGA_MAX = 1.0, 1.5, 2.0
+REACHED, TURNED = 0.1, 0.15  # m and rad from the goal
+SLIP = 0.05  # m/s
+FORKLIFT = np.array([[-0.45, -0.31], [0.45, -0.31], [0.45, 0.31], [-0.45, 0.31]])
+TAIL = np.array([[-0.7, -0.25], [0.2, -0.25], [0.2, 0.25], [-0.7, 0.25]])
+CAR = np.array([[-0.25, -0.25], [0.65, -0.25], [0.65, 0.25], [-0.25, 0.25]])
+DIFFERENTIAL: dict[str, Any] = {"kind": "differential", "omega_max": OMEGA_MAX}
+ACKERMANN: dict[str, Any] = {
+    "kind": "ackermann",
+    "min_turning_radius": 1.0,
+    "omega_max": OMEGA_MAX,
+}
+Pose = tuple[float, float, float]
+Rectangle = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A map about (0, 0), a robot, and the poses between which it drives; heading: of the goal."""
+
+    occupied: NDArray[np.bool_]
+    start: Pose
+    goal: Pose
+    footprint: NDArray[np.float64]
+    kinematics: Mapping[str, Any]
+    heading: float | None = None
+
+    def fields(self, num: int, seed: int) -> dict[str, Any]:
+        """Return the request's fields."""
+        data = self.occupied[None].astype(np.float32)
+        return {
+            "cost_map": {"data": data, "resolution": RESOLUTION},
+            "x_curr": [*self.start, *[0.0] * 6],
+            "x_goal": [*self.goal, *[0.0] * 3],
+            "footprint": self.footprint,
+            "kinematics": self.kinematics,
+            "goal_tolerance": {"position": REACHED, "heading": self.heading},
+            "v_max": V_MAX,
+            "a_max": A_MAX,
+            "num_samples": num,
+            "seed": seed,
+        }
+
+
+def painted(value: bool, *rectangles: Rectangle, on: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a copy of cells with rectangles of x and y [m], from and to, set to a value."""
+    cells = on.copy()
+    for x0, x1, y0, y1 in rectangles:
+        low, high, left, right = (
+            round(float(each) / RESOLUTION + CELLS / 2) for each in (y0, y1, x0, x1)
+        )
+        cells[low:high, left:right] = value
+    return cells
+
+
+FREE = np.zeros((CELLS, CELLS), np.bool_)
+FULL = ~FREE
+
+
+def doorway(rng: np.random.Generator) -> Situation:
+    """A door of 0.12 to 0.25 m more than the forklift's width, in a wall across the room."""
+    y, half = rng.uniform(-1.2, 1.2), 0.31 + rng.uniform(0.06, 0.125)
+    cells = painted(True, (-0.15, 0.15, -4, 4), on=FREE)
+    cells = painted(False, (-0.15, 0.15, y - half, y + half), on=cells)
+    start = (-2.0, rng.uniform(-1, 1), rng.uniform(-0.8, 0.8))
+    return Situation(cells, start, (2.0, rng.uniform(-1, 1), 0.0), FORKLIFT, DIFFERENTIAL)
+
+
+def aisle(rng: np.random.Generator) -> Situation:
+    """An aisle narrower than the forklift's diagonal, with a corner at its end."""
+    half, side = rng.uniform(0.45, 0.52), rng.choice([-1.0, 1.0])
+    low, high = sorted((-side * 0.8, side * 3.0))
+    cells = painted(False, (-3.5, 0.6, -half, half), (0.4, 2.2, low, high), on=FULL)
+    return Situation(cells, (-2.8, 0, 0), (1.3, side * 2.2, 0), FORKLIFT, DIFFERENTIAL)
+
+
+def tail(rng: np.random.Generator) -> Situation:
+    """Posts about a robot whose outline reaches far behind its axle."""
+    x, y = rng.uniform(-2.0, 2.0, (2, 8))
+    posts = [(a - 0.1, a + 0.1, b - 0.1, b + 0.1) for a, b in zip(x, y, strict=True)]
+    cells = painted(True, *posts, on=FREE)
+    cells = painted(False, (-3.9, -2.0, -0.9, 0.9), (2.0, 3.9, -0.9, 0.9), on=cells)
+    return Situation(cells, (-2.8, 0, rng.uniform(-0.5, 0.5)), (2.9, 0, 0), TAIL, DIFFERENTIAL)
+
+
+def parking(rng: np.random.Generator) -> Situation:
+    """A gap in a row of parked cars, which is entered backwards."""
+    side, gap = rng.choice([-1.0, 1.0]), rng.uniform(1.9, 2.3)
+    low, high = sorted((side * 0.35, side * 0.95))
+    row = ((-3.5, -1.0 - gap / 2, low, high), (-1.0 + gap / 2, 2.0, low, high))
+    low, high = sorted((side * 0.95, side * 1.2))
+    cells = painted(True, *row, (-3.5, 2.0, low, high), on=FREE)
+    goal = (-1.2, side * 0.65, 0.0)
+    start = (rng.uniform(0.0, 0.6), -side * rng.uniform(0.0, 0.3), rng.uniform(-0.1, 0.1))
+    drives = ACKERMANN | {"reverse": True}
+    return Situation(cells, start, goal, CAR, drives, heading=TURNED)
+
+
+def slalom(rng: np.random.Generator) -> Situation:
+    """Posts about a car that cannot drive backwards."""
+    x, y = rng.uniform(-1.8, 2.0, 10), rng.uniform(-2.5, 2.5, 10)
+    posts = [(a - 0.12, a + 0.12, b - 0.12, b + 0.12) for a, b in zip(x, y, strict=True)]
+    cells = painted(True, *posts, on=FREE)
+    cells = painted(False, (-3.9, -1.9, -1.3, 1.3), (2.4, 3.9, -1, 1), on=cells)
+    return Situation(cells, (-3.2, 0, rng.uniform(-0.5, 0.5)), (3.1, 0, 0), CAR, ACKERMANN)
+
+
+FAMILIES: dict[str, Callable[[np.random.Generator], Situation]] = {
+    "door": doorway,
+    "aisle": aisle,
+    "tail": tail,
+    "parking": parking,
+    "slalom": slalom,
+}
+
+
+def verdicts(found: AnchorBatch, at: Situation) -> NDArray[np.bool_]:
+    """Return [N, 3]: touches nothing, ends in its goal, and can be driven within the limits."""
+    judge = BodyJudge(at.occupied, RESOLUTION, at.footprint)
+    poses, velocities = found.trajectories, found.velocities
+    free = [not judge.touches(path) for path in poses]
+    away = np.hypot(*(poses[:, -1, :2] - at.goal[:2]).T) <= REACHED + 1e-3
+    away &= np.hypot(*(poses[:, 0, :2] - at.start[:2]).T) <= REACHED
+    away &= np.abs(turned(poses[:, 0, 2] - at.start[2])) <= TURNED
+    if at.heading is not None:
+        away &= np.abs(turned(poses[:, -1, 2] - at.goal[2])) <= at.heading + 1e-3
+    pace, spin = ahead(poses, velocities), np.abs(velocities[..., 2])
+    drives = np.abs(sideways(poses, velocities)).max(1) <= SLIP
+    drives &= (np.abs(pace).max(1) <= 1.05 * V_MAX) & (spin.max(1) <= 1.05 * OMEGA_MAX)
+    if not at.kinematics.get("reverse"):
+        drives &= pace.min(1) >= -SLIP
+    if radius := at.kinematics.get("min_turning_radius"):
+        drives &= (spin <= 1.05 * np.abs(pace) / radius + 0.02).all(1)
+    return np.stack([free, away, drives], 1)
+
+
+def turned(angle: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return angles in rad from -pi to pi."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def as_disc(engine: Engine, at: Situation, radius: float, num: int, seed: int) -> AnchorBatch:
+    """Plan for a disc; its poses look along the way."""
+    fields = at.fields(num, seed) | {"footprint": None, "kinematics": None}
+    fields |= {"x_curr": [*at.start[:2], *[0.0] * 4], "x_goal": [*at.goal[:2], *[0.0] * 2]}
+    low, high = engine.card.cost_map.ranges["robot_radius"]
+    found = ask(engine, fields | {"robot_radius": float(np.clip(radius, low, high))})
+    velocity, pull = found.velocities, found.accelerations
+    speed = np.maximum(np.hypot(velocity[..., 0], velocity[..., 1]), 1e-6)
+    moves = np.where((speed > SLIP)[..., None], velocity, velocity[:, [len(velocity[0]) // 2]])
+    heading = np.unwrap(np.arctan2(moves[..., 1], moves[..., 0]))
+    cross = velocity[..., 0] * pull[..., 1] - velocity[..., 1] * pull[..., 0]
+    spin = np.where(speed > SLIP, cross / speed**2, 0.0)
+    arrays = dict(found.arrays) | {
+        "trajectories": np.concatenate([found.trajectories, heading[..., None]], -1),
+        "velocities": np.concatenate([velocity, spin[..., None]], -1),
+        "accelerations": np.concatenate([pull, 0.0 * spin[..., None]], -1),
+    }
+    return replace(found, arrays=arrays)
+
+
+def ask(engine: Engine, fields: Mapping[str, Any]) -> AnchorBatch:
+    """Plan in this process."""
+    return engine.plan(resolve_for_card(AnchorRequest.build(**fields), engine.card))
+
+
+def plainly(engine: Engine, at: Situation, num: int, seed: int) -> AnchorBatch:
+    """Plan along the searched ways as they are: no descent, no shapes of their own."""
+    own = body_planner.SETTLING, body_planner.LONG, body_planner.WIDE
+    body_planner.SETTLING, body_planner.LONG, body_planner.WIDE = 0, 0, 0.0
+    try:
+        return ask(engine, at.fields(num, seed))
+    finally:
+        body_planner.SETTLING, body_planner.LONG, body_planner.WIDE = own
+
+
+PLANNERS: dict[str, Callable[[Engine, Situation, int, int], AnchorBatch]] = {
+    "poses": lambda engine, at, num, seed: ask(engine, at.fields(num, seed)),
+    "hybrid A*": plainly,
+    "disc about it": lambda engine, at, num, seed: as_disc(
+        engine, at, float(np.hypot(*at.footprint.T).max()), num, seed
+    ),
+    "disc inside": lambda engine, at, num, seed: as_disc(
+        engine, at, float(np.abs(at.footprint).min()), num, seed
+    ),
+}
+
+
+def row_of(name: str, engine: Engine, situations: list[Situation], num: int) -> Row:
+    """Return a planner's figures.
+
+    any: share of the situations with an anchor that is free, arrives and can be driven
+    success, free, arrives, drivable: shares of the anchors
+    lies: anchors called safe that are not free, or cannot be driven; ms: median of a plan
+    """
+    shares, lies, spent = [], 0, []
+    for seed, at in enumerate(situations):
+        began = time.perf_counter()
+        found = PLANNERS[name](engine, at, num, seed)
+        spent.append(1e3 * (time.perf_counter() - began))
+        kept = verdicts(found, at)
+        good = kept.all(1)
+        lies += int((found.safe & ~(kept[:, 0] & kept[:, 2])).sum())
+        shares.append([good.any(), good.mean(), *kept.mean(0)])
+    names = ("any", "success", "free", "arrives", "drivable")
+    figures = dict(zip(names, np.mean(shares, axis=0).tolist(), strict=True))
+    return {"planner": name, **figures, "lies": lies, "ms": float(np.median(spent))}
+
+
+def bodies(
+    *,
+    bundle: options.Bundle = options.STUDENT,
+    limit: Annotated[int, typer.Option(min=1, help="Situations of each family.")] = 24,
+    seed: Annotated[int, typer.Option(help="Of the first situation.")] = 0,
+    num: options.Num = 64,
+    threads: options.Threads = None,
+    out: options.Out = options.RESULTS,
+) -> None:
+    """Judge anchors of robots with a footprint and wheels, beside the discs that they are not."""
+    engine = Engine(load_bundle(Path(bundle)), threads=threads)
+    tables = []
+    with progress("judging", len(FAMILIES) * len(PLANNERS)) as advance:
+        for family, drawn in FAMILIES.items():
+            numbers = range(seed, seed + limit)
+            found = [drawn(np.random.default_rng([n, len(family)])) for n in numbers]
+            rows = []
+            for name in PLANNERS:
+                rows.append(row_of(name, engine, found, num))
+                advance(1)
+            tables.append(ResultTable(family, rows))
+    about = {"situations": f"{limit} of each family", "anchors a situation": str(num)}
+    report("Bodies", about, tables, out)
