@@ -19,7 +19,7 @@ from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
 from anchorflow_trajectory.spline.kernels import Band
 
 SPACING, LEAST_SPANS, MOST_SPANS = 2.2, 3, 60  # cells of a search from knot to knot
-LOOKS = 3  # samples of a span at which the cost of a curve is measured
+LOOKS = 2  # samples of a span at which the cost of a curve is measured
 KEPT, LAST = 2, 2  # control points that a start's pose fixes, and an end's
 TINY = 1e-9
 STIFF = 0.5  # weight of third differences beside distances, in a fit

@@ -17,8 +17,8 @@ from anchorflow_trajectory.bodies.ways import Run, Stretch, WaySearch
 from anchorflow_trajectory.finish.refiner import Refined, numbered
 from anchorflow_trajectory.movers import Discs
 
-RIM = 0.12  # m between two points of the outline
-SETTLING, LONG = 16, 60  # steps of a descent, and of a way's own curve
+RIM, COARSE_RIM = 0.12, 0.2  # m between two points of the outline; in descents
+SETTLING, LONG = 12, 80  # steps of a descent, and of a way's own curve
 WIDE, LEAST_MARGIN, MOST_MARGIN = 0.18, 0.04, 0.3  # m: noise of anchors, and room that they seek
 ROOM, BEND, SOFT, EVEN, SHORT, RATE = 30.0, 1.0, 1.0, 2.0, 0.1, 0.25
 """Weights of a descent, and its first step in cells."""
@@ -176,7 +176,7 @@ class BodyPlanner:
         """Descend on curves [N, K, 2], which change, to `margin` m of room each."""
         if stretch.basis is None:
             return controls
-        rim, reach = self.problem.body.outline.rim(RIM), self.problem.body.outline.reach
+        rim, reach = self.problem.body.outline.rim(COARSE_RIM), self.problem.body.outline.reach
         wheels, motion = self.problem.body.wheels, self.problem.scene.motion
         most_bend = wheels.omega_max / (EASY_TURN * motion.v_max)
         if wheels.min_radius > 0.0:
