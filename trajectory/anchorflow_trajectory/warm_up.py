@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -154,7 +155,8 @@ def _alone() -> Iterator[None]:
 
 def _mark(folder: Path, stage: str) -> Path:
     """Return the file that says that a stage was compiled for this processor by this numba."""
-    machine = numba.__version__, cpu_target.target_context.codegen().magic_tuple()
+    context: Any = cpu_target.target_context
+    machine = numba.__version__, context.codegen().magic_tuple()
     return folder / f"{stage}-{sha256(repr(machine).encode()).hexdigest()[:12]}"
 
 
@@ -199,7 +201,7 @@ def _run_descent(scene: Scene) -> None:
     splines = basis.rest_curves(ends, np.ones(2))
     optimised, _ = OptimisationPass(1, 0.1, shares=(1.0,)).run(cost, splines, ends)
     safe, route = np.array([True, False]), np.zeros(2, np.intp)
-    among = {"movers": scene.movers}
+    among: dict[str, Any] = {"movers": scene.movers}
     bisect_to_safe(optimised, safe, ends, basis, field, scene.motion, route=route, **among)
     are_safe(optimised, basis, field, scene.motion, **among)
     cost.value(optimised)
