@@ -115,6 +115,7 @@ EXCEPTIONS = {
     "anchorflow_client.ros_map": {"PIL", "yaml"},
     "anchorflow_client.zenoh_client": {"zenoh"},
     "anchorflow_ros.services": {"anchorflow_service"},  # a service in the node's own process
+    "anchorflow_ros.replay": {"rosbags"},
     "anchorflow_ros.simulation": {"anchorflow_benchmarks", "scipy"},
     "anchorflow_ros.simulator": {"anchorflow_benchmarks", "rosgraph_msgs"},
     "anchorflow_driving.importers.argoverse": {"pyarrow"},

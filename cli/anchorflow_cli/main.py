@@ -36,6 +36,7 @@ COMMANDS = {
     "serve": Command("serve", "Serve a bundle over HTTP.", "service"),
     "token": Command("token", "Make a token for a service.", "service"),
     "plan": Command("plan", "Plan on a ROS map and draw it.", "service"),
+    "replay": Command("replay", "Plan at every tick of a recorded ROS 2 bag.", "bags"),
     "data": Command("data", "Make a dataset to train on.", "train"),
     "train": Command("training:train_app", "Train a planner on a dataset.", "train"),
     "average": Command("training:average_app", "Average the weights of checkpoints.", "train"),

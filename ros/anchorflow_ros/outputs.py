@@ -28,6 +28,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_ros.faults import OK, Fault
 from anchorflow_ros.inputs import seconds_and_nanoseconds
+from anchorflow_ros.poses import poses_of
 
 Array = NDArray[np.float64]
 
@@ -38,8 +39,6 @@ SHOWN_STEPS = 16
 """Points of a candidate."""
 BEST, WORST, UNSAFE = (0.1, 0.65, 0.2), (0.95, 0.6, 0.1), (0.85, 0.1, 0.1)
 """Red, green, blue of the best and the worst score, and of anchors that are not safe."""
-MOVING = 0.05
-"""m/s; slower anchors give no heading, and keep the last one."""
 
 
 def header_of(seconds: float, frame_id: str) -> Header:
@@ -132,20 +131,6 @@ def diagnostics_of(
         for each in faults
     ]
     return DiagnosticArray(header=header, status=[summary, *parts])
-
-
-def poses_of(batch: AnchorBatch, index: int) -> Array:
-    """Return [T,3] x, y, heading; without headings those of the velocity."""
-    path = batch.trajectories[index].astype(np.float64)
-    if path.shape[1] > 2:
-        return path
-    velocity = batch.velocities[index, :, :2].astype(np.float64)
-    moving = np.hypot(*velocity.T) > MOVING
-    if not moving.any():
-        return np.column_stack([path, np.zeros(len(path))])
-    last = np.maximum.accumulate(np.where(moving, np.arange(len(path)), -1))
-    last[last < 0] = int(moving.argmax())
-    return np.column_stack([path, np.arctan2(velocity[last, 1], velocity[last, 0])])
 
 
 def _level(fault: Fault) -> bytes:

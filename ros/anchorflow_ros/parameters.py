@@ -200,6 +200,9 @@ def _options(values: Mapping[str, Any]) -> dict[str, Any]:
     options = _json(values["service.options"], "service.options", "an object of request fields")
     if not isinstance(options, dict):
         raise expected("service.options", "an object of request fields", options)
+    if values["robot.plan_poses"]:  # poses are searched, not sampled; a goal has no heading
+        options = {"goal_tolerance": {"position": 0.0}, **options}
+        options.pop("sampler", None)
     if values["service.model"]:
         options = {"model": values["service.model"], **options}
     return {"num_samples": values["service.num_samples"], **options}

@@ -1,5 +1,8 @@
 """Start the node with its parameters: `ros2 launch anchorflow_ros anchorflow.launch.py`."""
 
+# launch and launch_ros are a robot's own: they have no wheels.
+# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 from pathlib import Path

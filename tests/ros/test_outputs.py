@@ -16,6 +16,7 @@ from anchorflow_client import AnchorBatch
 from anchorflow_client.contract import ModelId
 from anchorflow_ros import outputs
 from anchorflow_ros.faults import ERROR, OK, Fault
+from anchorflow_ros.poses import poses_of
 
 T = 9
 
@@ -55,7 +56,7 @@ def test_an_anchor_that_stands_keeps_its_heading() -> None:
     velocities = batch().velocities.copy()
     velocities[1, 0] = velocities[1, -1] = 0.0
 
-    poses = outputs.poses_of(batch(velocities=velocities), 1)
+    poses = poses_of(batch(velocities=velocities), 1)
 
     np.testing.assert_allclose(poses[:, 2], np.pi / 2)
 
@@ -108,11 +109,12 @@ def test_a_fault_is_the_nodes_status_and_its_own() -> None:
 
 def test_all_messages_survive_the_wire() -> None:
     header = outputs.header_of(10.0, "map")
+    markers: Any = outputs.candidates_of(batch(), header)
     for message in (
         outputs.twist_of(np.array([0.5, 0.0, -0.2]), header),
         outputs.path_of(batch(), 0, header),
         outputs.trajectory_of(batch(), 0, header),
-        outputs.candidates_of(batch(), header).markers[0],
+        markers.markers[0],
         outputs.diagnostics_of([], {}, name="node", header=header),
     ):
         sent = deserialize_message(serialize_message(message), type(message))

@@ -317,6 +317,7 @@ WALKTHROUGH = (
         (
             "pip install -e '.[ros,bench,service]'",
             "pip install -e '.[control]'",
+            "pip install -e '.[bags]'",
             "python -m anchorflow_ros.node --ros-args"
             " -p goal.beyond_map:=approach -p map.timeout_s:=1.0",
             "python -m anchorflow_ros.simulator",
@@ -339,7 +340,8 @@ NOT_RUN = {
     r"docker ": "needs a container engine; `make image` builds the same Dockerfile with buildah",
     r"zenohd ": "needs zenohd, which is not on PyPI; the tests' router is the library's own",
     r"python examples/robot/robot.py .*--view": "needs a screen",
-    r"ln -s .*ros2_ws|cd ~/ros2_ws|ros2 launch ": "needs a workspace; tests/ros builds the package",
+    r"ln -s .*ros2_ws|cd ~/ros2_ws|ros2 (launch|bag) ": "needs a robot's ROS",
+    r"anchorflow replay ": "needs a recorded bag; tests/ros makes one",
 }
 """Reasons by a pattern of commands that no session runs."""
 
