@@ -4,6 +4,8 @@ import { clamp } from "./dom.js";
 
 /** At lower speeds [m/s] the curvature is not defined well enough to show. */
 const STANDSTILL = 0.05;
+/** m/s along its heading below which a robot stands. */
+const RESTING = 0.02;
 
 export class Anchors {
   /**
@@ -22,6 +24,10 @@ export class Anchors {
     this.positions = planar(trajectories);
     this.velocities = velocities ? planar(velocities) : null;
     this.accelerations = accelerations ? planar(accelerations) : null;
+    /** [N,T] rad, and its derivatives; null without a heading. */
+    this.headings = heading(trajectories);
+    this.turns = velocities ? heading(velocities) : null;
+    this.spins = accelerations ? heading(accelerations) : null;
     /** [N,T] norms, or null. */
     this.speeds = velocities ? norms(this.velocities) : null;
     this.pulls = accelerations ? norms(this.accelerations) : null;
@@ -59,14 +65,31 @@ export class Anchors {
     return this.time(n, this.steps - 1);
   }
 
-  /** {x, y, vx, vy} of anchor n after `seconds`, straight between its time steps; the last place after its end. */
+  /** {x, y, vx, vy}, of poses also the heading, of anchor n after `seconds`, straight between its time steps; the last place after its end. */
   at(n, seconds) {
     const place = clamp((seconds - this.first) / this.dts[n], 0, this.steps - 1);
     const step = Math.min(Math.floor(place), this.steps - 2);
     const k = 2 * (n * this.steps + step);
     const [x, y, toX, toY] = this.positions.subarray(k, k + 4);
     const share = place - step;
-    return { x: x + share * (toX - x), y: y + share * (toY - y), vx: (toX - x) / this.dts[n], vy: (toY - y) / this.dts[n] };
+    const [vx, vy] = [(toX - x) / this.dts[n], (toY - y) / this.dts[n]];
+    const state = { x: x + share * (toX - x), y: y + share * (toY - y), vx, vy };
+    if (!this.headings) return state;
+    const [from, to] = this.headings.subarray(k / 2, k / 2 + 2);
+    return { ...state, heading: from + share * (to - from) };
+  }
+
+  /** {x, y, heading} of anchor n at time step t, of a response with headings. */
+  stateAt(n, t) {
+    const at = n * this.steps + t;
+    return { x: this.positions[2 * at], y: this.positions[2 * at + 1], heading: this.headings[at] };
+  }
+
+  /** 1 forwards, -1 backwards, 0 on the spot or at rest: what anchor n does at time step t. */
+  gear(n, t) {
+    const at = n * this.steps + t;
+    const along = this.velocities[2 * at] * Math.cos(this.headings[at]) + this.velocities[2 * at + 1] * Math.sin(this.headings[at]);
+    return Math.abs(along) < RESTING ? 0 : Math.sign(along);
   }
 
   /** "4.2 to 9.1 s" over the safe anchors, or over all if none is; "8.0 s" if they are alike. */
@@ -116,6 +139,11 @@ export class Anchors {
 function planar({ shape: [count, steps, dim], values }) {
   if (dim === 2) return values;
   return values.constructor.from({ length: 2 * count * steps }, (_, k) => values[dim * (k >> 1) + (k & 1)]);
+}
+
+/** The third of [N,T,3], flat; null of [N,T,2]. */
+function heading({ shape: [count, steps, dim], values }) {
+  return dim === 2 ? null : values.constructor.from({ length: count * steps }, (_, k) => values[dim * k + 2]);
 }
 
 function norms(flat) {

@@ -8,13 +8,16 @@ import { byId, clamp, make, plain, showFill } from "./dom.js";
 
 /** Fields that have controls of their own, and fields that are for programs. */
 const NOT_IN_FORM = new Set([
-  "cost_map", "x_curr", "x_goal", "w_style", "inputs", "outputs", "model", "warm_start",
+  "cost_map", "x_curr", "x_goal", "w_style", "inputs", "outputs", "model", "warm_start", "footprint",
   "obstacles", "budget_ms", "robot_id", "request_id",
   "kinematics", // needs headings, which the page draws for bundles that have them alone
 ]);
+/** Kinds of `kinematics` that have a heading of their own. */
+export const WHEELS = ["differential", "ackermann"];
 /**
  * How the page shows some fields: the block of the form, the label, the end of the slider if there
- * is one, the value that is asked first, and the field without which it means nothing.
+ * is one, the value that is asked first, the field without which it means nothing, with its values
+ * if only some count, and the texts of a choice.
  */
 const SHOWN = {
   num_samples: { block: "sampling", label: "Anchors", slider: Infinity },
@@ -24,6 +27,10 @@ const SHOWN = {
   v_max: { block: "robot", label: "Speed limit", slider: Infinity },
   a_max: { block: "robot", label: "Acceleration limit", slider: Infinity },
   horizon_s: { block: "robot", label: "Duration", slider: Infinity },
+  "kinematics.kind": { block: "robot", label: "Drive", texts: { "": "Any way", omni: "Any way (omni)", differential: "Differential", ackermann: "Like a car" } },
+  "kinematics.min_turning_radius": { block: "robot", label: "Turning radius", slider: 3, needs: "kinematics.kind", of: WHEELS },
+  "kinematics.omega_max": { block: "robot", label: "Turn rate limit", slider: 4, needs: "kinematics.kind", of: WHEELS },
+  "kinematics.reverse": { block: "robot", label: "Reverse", needs: "kinematics.kind", of: WHEELS },
   "refine.safety_margin": { block: "finish", slider: 0.5 },
   "refine.guidance": { block: "finish", slider: 2 },
   "refine.certified_margin": { block: "finish", slider: 0.5 },
@@ -51,6 +58,7 @@ export class RequestFields {
     const hasMap = card.conditioning.kind === "cost_map";
     const applies = ({ path, block }) => {
       if (path === "refine.guidance" && card.sampler.kind !== "ode") return false;
+      if (path.startsWith("kinematics.")) return hasMap;
       if (block === "robot") return path in (card.conditioning.limits ?? {});
       if (path.startsWith("sampler.")) return hasMap && card.sampler.kind === "ode";
       if (path.startsWith("refine.")) return hasMap && card.finish.kind === "spline";
@@ -139,7 +147,10 @@ export function rangeOf({ path, low, high }, card) {
   return [low, path === "num_samples" ? Math.min(high, card.sampler.size ?? high) : high];
 }
 
-const lacks = ({ needs }, options) => needs !== undefined && (options[needs] ?? null) === null;
+function lacks({ needs, of }, options) {
+  const value = options[needs] ?? null;
+  return needs !== undefined && (value === null || (of !== undefined && !of.includes(value)));
+}
 
 /** The rows of the form; calls `onChange({path: value})`, null for a value that was emptied. */
 export class Form {
@@ -151,11 +162,12 @@ export class Form {
     for (const row of this.#rows) byId(`fields-${row.field.block}`).append(row.element);
   }
 
-  show(options, card) {
+  /** `unused`: paths of fields that mean nothing at the moment, and are hidden. */
+  show(options, card, unused = []) {
     const defaults = this.fields.defaults(card);
     for (const row of this.#rows) {
       const { path } = row.field;
-      row.element.hidden = !(path in defaults);
+      row.element.hidden = !(path in defaults) || unused.includes(path) || (row.field.of !== undefined && lacks(row.field, options));
       if (path in defaults) row.show(options[path] ?? null, card, { isOptional: defaults[path] === null, isUnused: lacks(row.field, options) });
     }
     for (const block of document.querySelectorAll("[id^=fields-]")) {
@@ -172,7 +184,7 @@ class Row {
     this.hint = make("p", { className: "hint", id: `${id}-hint` }, text);
     this.output = make("output", { id: `${id}-value` });
     if (kind === "choice") {
-      this.control = make("select", { id }, ...[new Option("The bundle's own", ""), ...field.options.map((name) => new Option(name))]);
+      this.control = make("select", { id }, ...["", ...field.options].map((name) => new Option(field.texts?.[name] ?? (name || "The bundle's own"), name)));
     } else {
       this.control = make("input", { id, type: kind === "boolean" ? "checkbox" : "number" });
     }

@@ -104,7 +104,7 @@ export async function plan(request) {
 }
 
 /** Arrays become tensors, all other fields parameters named by their JSON path. */
-export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: style, warm_start: warm, obstacles, ...rest }) {
+export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: style, warm_start: warm, obstacles, footprint, ...rest }) {
   const [rows] = map.data;
   const cells = [map.data.length, rows.length, rows[0].length];
   const inputs = [
@@ -114,6 +114,7 @@ export function pack({ cost_map: map, x_curr: start, x_goal: goal, w_style: styl
     ["map_geometry", "FP64", [3], [...map.origin, map.resolution]],
     ...(warm ? [["warm_start", "FP64", [warm.trajectory.length, warm.trajectory[0].length], warm.trajectory.flat()]] : []),
     ...(obstacles ? tracksOf(obstacles) : []),
+    ...(footprint ? [["footprint", "FP64", [footprint.length, 2], footprint.flat()]] : []),
     ["cost_map", "FP32", cells, map.data.flat(2)],
   ];
   const tensors = inputs.map(([, datatype, , values]) => new Uint8Array(ARRAYS[datatype].from(values).buffer));

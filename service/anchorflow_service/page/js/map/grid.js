@@ -184,10 +184,11 @@ function region(grid, first, admissible, step, seen = new Uint8Array(grid.cells.
 /**
  * Choose a start near a corner and a goal far from it, clear of obstacles and joined by a way.
  *
- * @param {{radius: number, reach: number}} robot  its radius, and the longest way, m
+ * @param {{radius: number, reach: number, room: number}} robot  its radius, the longest way, and the room
+ *   around its middle at both ends, m
  * @returns {{start: object, goal: object}}  {x, y, vx, vy} each, at rest
  */
-export function placeEnds(grid, { radius, reach }) {
+export function placeEnds(grid, { radius, reach, room = radius }) {
   const blocked = grid.inflated(radius + SPARE);
   const seen = new Uint8Array(grid.cells.length);
   let joined = [];
@@ -200,15 +201,18 @@ export function placeEnds(grid, { radius, reach }) {
     return { x, y, vx: 0, vy: 0 };
   };
   if (!joined.length) return { start: point(0), goal: point(grid.cells.length - 1) };
+  const tight = room > radius ? grid.inflated(room + SPARE) : blocked;
+  const roomy = joined.filter((index) => !tight.cells[index]);
+  const ends = roomy.length ? roomy : joined;
   const distance = (a, b) => Math.hypot(a.x - b.x, a.y - b.y);
   const [width, height] = grid.size;
   const corner = { x: grid.origin[0] + 0.1 * width, y: grid.origin[1] + 0.12 * height };
   const nearest = (best, index) => (distance(point(index), corner) < distance(point(best), corner) ? index : best);
-  const first = joined.reduce(nearest);
+  const first = ends.reduce(nearest);
   const start = point(first);
   const ways = wayLengths(grid, joined, first);
   const worth = (index) => Math.min(ways.get(index), LONGEST_DETOUR * distance(point(index), start));
-  const goal = joined.reduce((best, index) => (ways.get(index) <= reach && worth(index) > worth(best) ? index : best), first);
+  const goal = ends.reduce((best, index) => (ways.get(index) <= reach && worth(index) > worth(best) ? index : best), first);
   return { start, goal: point(goal) };
 }
 

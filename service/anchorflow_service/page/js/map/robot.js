@@ -32,19 +32,24 @@ export class Plan {
     this.positions = part(anchors.positions);
     this.velocities = part(anchors.velocities);
     this.accelerations = part(anchors.accelerations);
+    if (!anchors.headings) return;
+    const turned = (flat) => flat.slice(n * steps, (n + 1) * steps);
+    Object.assign(this, { headings: turned(anchors.headings), turns: turned(anchors.turns), spins: turned(anchors.spins) });
   }
 
-  /** {x, y, vx, vy, ax, ay} after `seconds`; the last state after its end. */
+  /** {x, y, vx, vy, ax, ay}, of poses also heading, turn and spin (rad, rad/s, rad/s²), after `seconds`; the last state after its end. */
   at(seconds) {
     const place = Math.min(Math.max(0, seconds / this.dt), this.steps - 1 - 1e-9);
     const k = Math.floor(place);
     const share = place - k;
-    const [x, y] = [0, 1].map((axis) => this.#hermite(this.positions, this.velocities, k, axis, share));
-    const [vx, vy] = [0, 1].map((axis) => this.#hermite(this.velocities, this.accelerations, k, axis, share));
+    const [x, y] = [0, 1].map((axis) => this.#hermite(this.positions, this.velocities, 2 * k + axis, 2, share));
+    const [vx, vy] = [0, 1].map((axis) => this.#hermite(this.velocities, this.accelerations, 2 * k + axis, 2, share));
     const [ax, ay] = [2 * k, 2 * k + 1].map((at) => {
       return this.accelerations[at] + share * (this.accelerations[at + 2] - this.accelerations[at]);
     });
-    return { x, y, vx, vy, ax, ay };
+    if (!this.headings) return { x, y, vx, vy, ax, ay };
+    const [heading, turn] = [this.#hermite(this.headings, this.turns, k, 1, share), this.#hermite(this.turns, this.spins, k, 1, share)];
+    return { x, y, vx, vy, ax, ay, heading, turn, spin: this.spins[k] + share * (this.spins[k + 1] - this.spins[k]) };
   }
 
   /**
@@ -74,9 +79,9 @@ export class Plan {
     return points;
   }
 
-  /** Cubic Hermite interpolation between samples k and k + 1. */
-  #hermite(values, slopes, k, axis, s) {
-    const [a, b] = [2 * k + axis, 2 * k + 2 + axis];
+  /** Cubic Hermite interpolation between a number and the one `stride` places after it. */
+  #hermite(values, slopes, a, stride, s) {
+    const b = a + stride;
     const r = 1 - s;
     return values[a] * r * r * (1 + 2 * s) + values[b] * s * s * (1 + 2 * r)
       + this.dt * s * r * (slopes[a] * r - slopes[b] * s);
@@ -98,7 +103,7 @@ export class Stop {
   }
 
   at(seconds) {
-    const { x, y, vx, vy } = this.state;
+    const { x, y, vx, vy, heading } = this.state;
     const t = Math.min(seconds, this.seconds);
     const share = this.speed > 0 ? 1 / this.speed : 0;
     const [along, across] = [vx * share, vy * share];
@@ -109,6 +114,7 @@ export class Stop {
       x: x + length * along, y: y + length * across,
       vx: speed * along, vy: speed * across,
       ax: pull * along, ay: pull * across,
+      ...(heading === undefined ? {} : { heading, turn: 0, spin: 0 }),
     };
   }
 }
@@ -131,7 +137,10 @@ export class Robot {
   begin() {
     const now = performance.now();
     this.active = true;
-    this.home = { ...this.scene.start };
+    const { scene } = this;
+    // A heading that follows the straight way would change while the robot drives.
+    if (scene.hasBody) for (const end of [scene.start, scene.goal]) end.heading = scene.headingOf(end);
+    this.home = { ...scene.start };
     this.#plan = new Stop(this.home, this.scene.limits);
     this.#since = this.#heardAt = this.#walkedAt = now;
     this.#answerTimes = [];
@@ -154,7 +163,7 @@ export class Robot {
     const at = performance.now();
     this.#letWalk(at);
     const body = this.scene.request(this.#state(at));
-    if (this.#holds && this.scene.dim === 2) {
+    if (this.#holds && !this.#plan.headings && this.scene.dim === 2) {
       body.warm_start = { ...this.#plan.rest((at - this.#since) / 1e3), tau: WARM_START_TAU };
     }
     return { body, at, plan: this.#plan, isOver: this.#isOver(at), version: this.scene.version };
@@ -226,11 +235,11 @@ export class Robot {
     if (now - this.#heardAt > MAX_SILENCE_MS || this.#isOver(now)) this.#brake(now);
     this.#letWalk(now);
     const robot = this.#state(now);
-    const { x, y, vx, vy } = robot;
-    this.scene.start = { x, y, vx, vy };
+    const { x, y, vx, vy, heading } = robot;
+    this.scene.start = { x, y, vx, vy, ...(heading === undefined ? {} : { heading }) };
     Object.assign(this.stage.show, { robot, path: this.#plan.path?.((now - this.#since) / 1e3) ?? null });
     this.#leaveTrail(robot);
-    if (this.#hasArrived(robot)) this.#turnBack();
+    if (this.#hasArrived(robot, now)) this.#turnBack();
     this.onFrame(this.#note(robot));
     this.stage.drawTop();
   }
@@ -249,9 +258,10 @@ export class Robot {
     if (trail.length > TRAIL_POINTS) trail.shift();
   }
 
-  #hasArrived({ x, y, vx, vy }) {
-    const { goal } = this.scene;
-    const isSlow = Math.hypot(vx - goal.vx, vy - goal.vy) < ARRIVED_MPS;
+  /** A body drives its plan to the end: it may have to turn or to back up near the goal. */
+  #hasArrived({ x, y, vx, vy }, now) {
+    const { goal, hasBody } = this.scene;
+    const isSlow = Math.hypot(vx - goal.vx, vy - goal.vy) < ARRIVED_MPS && (!hasBody || this.#isOver(now));
     return isSlow && Math.hypot(x - goal.x, y - goal.y) < ARRIVED_M;
   }
 

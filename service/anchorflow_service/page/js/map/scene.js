@@ -1,6 +1,8 @@
 /** The scene that is asked: a map, a start, a goal, a style and the options of the form. */
 
 import { placeEnds } from "./grid.js";
+import { WHEELS } from "../fields.js";
+import { DISC, cornersOf, radiiOf } from "./body.js";
 import { toRequest, walk } from "./people.js";
 
 /** The named styles of the contract: weights of safety, energy and smoothness. */
@@ -16,6 +18,10 @@ const EVALUATIONS = { euler: 1, midpoint: 2, heun: 2, rk4: 4, ab2: 1 };
 const MAX_EVALUATIONS = 8;
 const QUICK_SAMPLER = { "sampler.method": "midpoint", "sampler.schedule.uniform": 2 };
 const MAX_UNDO = 40;
+/** Fields of which the search of poses makes no use. */
+const OF_THE_FLOW = ["sampler.method", "sampler.schedule.uniform", "refine.smooth", "refine.project", "refine.safety_margin", "refine.guidance", "refine.barrier"];
+/** m, of a car of which nothing else is known. */
+const TYPICAL_TURN = 0.8;
 /** s, to place a goal in reach if neither the card nor the form has a duration. */
 const TYPICAL_DURATION = 8;
 /** Share of v_max · horizon_s that the way between start and goal may take. */
@@ -23,12 +29,14 @@ const EASY_SHARE = 0.5;
 
 /** Calls its listeners with "map", "ends", "people" or "options" when a response to the old scene is outdated. */
 export class Scene {
-  /** m, m/s: {x, y, vx, vy} */
+  /** m, m/s, rad: {x, y, vx, vy, heading}; without a heading it is that of the straight way. */
   start = { x: 0, y: 0, vx: 0, vy: 0 };
   goal = { x: 0, y: 0, vx: 0, vy: 0 };
   /** Who walks there: {x, y, vx, vy, radius} each. */
   people = [];
   style = STYLES.balanced;
+  /** The robot's outline, of body.js. */
+  body = { ...DISC };
   /** Fields of the form by path. */
   options = {};
   /** Counts changes of anything but the start, which moves by itself while the robot drives. */
@@ -49,11 +57,12 @@ export class Scene {
   useCard(card) {
     this.card = card;
     const { num_samples, seed } = this.options;
+    const wheels = Object.entries(this.options).filter(([path]) => path.startsWith("kinematics."));
     this.options = this.fields.defaults(card);
-    if (num_samples) Object.assign(this.options, { num_samples, seed });
+    if (num_samples) Object.assign(this.options, { num_samples, seed }, Object.fromEntries(wheels));
     const { method, schedule } = card.sampler;
     const isQuick = EVALUATIONS[method] * (schedule?.length - 1) <= MAX_EVALUATIONS;
-    if (this.hasFlow && !isQuick) Object.assign(this.options, QUICK_SAMPLER);
+    if (card.sampler.kind === "ode" && !isQuick) Object.assign(this.options, QUICK_SAMPLER);
   }
 
   /** {horizon_s, v_max, a_max, robot_radius} that are asked; a horizon_s of null: each anchor has its own. */
@@ -64,20 +73,54 @@ export class Scene {
 
   /** D: 2 (x, y), or 3 with a heading. */
   get dim() {
-    return this.card.answer.components.length;
+    return this.hasBody ? 3 : this.card.answer.components.length;
+  }
+
+  /** [[x, y]] m of the robot's outline, or null for a disc. */
+  get corners() {
+    return cornersOf(this.body);
+  }
+
+  /** Whether poses are asked: the robot has an outline or wheels. */
+  get hasBody() {
+    return this.body.shape !== "disc" || WHEELS.includes(this.options["kinematics.kind"]);
+  }
+
+  /** Fields of the form that mean nothing to the robot as it is. */
+  get unused() {
+    return [...(this.hasBody ? OF_THE_FLOW : []), ...(this.corners ? ["robot_radius"] : [])];
+  }
+
+  /** Take options of the form; a car has to have a turning radius. */
+  choose(options) {
+    Object.assign(this.options, options);
+    if (options["kinematics.kind"] === "ackermann") this.options["kinematics.min_turning_radius"] ||= TYPICAL_TURN;
+  }
+
+  /** m from an obstacle at which the robot's middle cannot be, whatever its heading. */
+  get innerRadius() {
+    return this.corners ? radiiOf(this.corners)[0] : this.options.robot_radius;
+  }
+
+  /** The heading of an end in rad. */
+  headingOf(end) {
+    const { start, goal } = this;
+    return end.heading ?? Math.atan2(goal.y - start.y, goal.x - start.x);
   }
 
   /** Whether the anchors come from a flow, which can be replayed. */
   get hasFlow() {
-    return this.card.sampler.kind === "ode";
+    return this.card.sampler.kind === "ode" && !this.hasBody;
   }
 
   /** Another map, with a start and a goal that fit it unless they are given. */
   useMap(grid, ends, people = []) {
     Object.assign(this, { grid, people });
-    const { robot_radius: radius, v_max: fastest, horizon_s: horizon } = this.limits;
+    const { v_max: fastest, horizon_s: horizon } = this.limits;
+    const radius = this.innerRadius;
+    const room = this.corners ? radiiOf(this.corners)[1] : radius;
     const reach = EASY_SHARE * fastest * (horizon ?? TYPICAL_DURATION);
-    Object.assign(this, ends ?? placeEnds(grid, { radius, reach }));
+    Object.assign(this, ends ?? placeEnds(grid, { radius, reach, room }));
     this.#undo.length = 0;
     this.changed("map");
   }
@@ -110,19 +153,22 @@ export class Scene {
     if (walk(this.people, seconds, this.grid)) this.version++;
   }
 
-  /** The fields of POST /anchors. `state`: {x, y, vx, vy, ax, ay} in place of the start. */
+  /** The fields of POST /anchors. `state`: {x, y, vx, vy, ax, ay, heading, turn, spin} in place of the start. */
   request(state = this.start) {
-    const { card, goal, grid } = this;
-    const { x, y, vx, vy, ax = 0, ay = 0 } = state;
-    const heading = Math.atan2(goal.y - y, goal.x - x);
+    const { card, goal, grid, corners } = this;
+    const { x, y, vx, vy, ax = 0, ay = 0, turn = 0, spin = 0 } = state;
+    const straight = Math.atan2(goal.y - y, goal.x - x);
+    const options = this.fields.toRequest(this.options, card);
+    if (this.hasBody) delete options.sampler;
     return {
       cost_map: { data: grid.channels(), resolution: grid.resolution, origin: grid.origin },
-      x_curr: [...this.#vector([x, y], heading), ...this.#vector([vx, vy]), ...this.#vector([ax, ay])],
-      x_goal: [...this.#vector([goal.x, goal.y], heading), ...this.#vector([goal.vx, goal.vy])],
+      x_curr: [...this.#vector([x, y], state.heading ?? straight), ...this.#vector([vx, vy], turn), ...this.#vector([ax, ay], spin)],
+      x_goal: [...this.#vector([goal.x, goal.y], goal.heading ?? straight), ...this.#vector([goal.vx, goal.vy])],
       w_style: this.style,
       ...toRequest(this.people),
+      ...(corners ? { footprint: corners } : {}),
       model: card.name,
-      ...this.fields.toRequest(this.options, card),
+      ...options,
     };
   }
 

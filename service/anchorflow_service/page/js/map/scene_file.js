@@ -1,12 +1,13 @@
 /** Scenes as files and as programs. A file is the JSON of POST /anchors, so that it can be sent as it is. */
 
-import { described } from "../fields.js";
+import { WHEELS, described } from "../fields.js";
 import { pythonProgram } from "../share.js";
+import { bodyOf } from "./body.js";
 import { Grid, OCCUPIED, SOFT_LAYERS } from "./grid.js";
 import { STYLES } from "./scene.js";
 
 /** Fields that the page can ask beside those of the form. */
-const CARRIED = ["cost_map", "x_curr", "x_goal", "w_style", "obstacles"];
+const CARRIED = ["cost_map", "x_curr", "x_goal", "w_style", "obstacles", "footprint"];
 /** Channels of a map that the page paints. */
 const CHANNELS = 1 + Object.keys(SOFT_LAYERS).length;
 /** How the drawing of a program tells tenths of a channel. */
@@ -20,7 +21,7 @@ export function toJson({ cost_map: { data, ...place }, ...rest }) {
 }
 
 /**
- * {card, grid, ends, people, style, options, left} of a scene file, for the bundle that it names if `bundles`
+ * {card, grid, ends, people, body, style, options, left} of a scene file, for the bundle that it names if `bundles`
  * has it, else for `chosen`; `left` names what the page cannot ask. Throws an Error that names the file.
  */
 export function readScene(name, text, chosen, bundles, fields) {
@@ -56,11 +57,13 @@ function parse(text) {
 }
 
 function fromRequest(request, card, fields) {
-  const dim = card.answer.components.length;
+  const body = bodyOf(request.footprint);
+  const hasBody = body.shape !== "disc" || WHEELS.includes(request.kinematics?.kind);
+  const dim = hasBody ? 3 : card.answer.components.length;
   const state = numbers(request.x_curr, "x_curr", 3 * dim);
   const goal = numbers(request.x_goal, "x_goal", 2 * dim);
-  const end = (values) => ({ x: values[0], y: values[1], vx: values[dim], vy: values[dim + 1] });
-  const start = { ...end(state), ax: state[2 * dim], ay: state[2 * dim + 1] };
+  const end = (values) => ({ x: values[0], y: values[1], vx: values[dim], vy: values[dim + 1], ...(hasBody ? { heading: values[2] } : {}) });
+  const start = { ...end(state), ax: state[2 * dim], ay: state[2 * dim + 1], ...(hasBody ? { turn: state[5], spin: state[8] } : {}) };
   const grid = readGrid(request.cost_map);
   const style = readStyle(request.w_style);
   const given = Object.entries(fields.fromRequest(request, card)).filter(([, value]) => value !== null);
@@ -72,9 +75,9 @@ function fromRequest(request, card, fields) {
   if (request.sampler && !isUniform) left.push("sampler");
   if (request.cost_map.data.length > CHANNELS) left.push(`cost_map beyond its channel ${CHANNELS - 1}`);
   if (request.cost_map.channel_weights) left.push("cost_map.channel_weights");
-  if (dim === 3) left.push("headings");
+  if (dim === 3 && !hasBody) left.push("headings");
   const people = readPeople(request.obstacles, left);
-  return { people, grid, ends: { start, goal: end(goal) }, style, options, left };
+  return { people, grid, body, ends: { start, goal: end(goal) }, style, options, left };
 }
 
 function numbers(values, field, count) {

@@ -6,6 +6,7 @@
 
 import { Surface, anchorColour, circle, drawAnchors, stroke } from "../drawing.js";
 import { clamp } from "../dom.js";
+import { placed, posesAlong } from "./body.js";
 import { OCCUPIED, UNKNOWN } from "./grid.js";
 import { placeAt } from "./people.js";
 
@@ -14,6 +15,10 @@ const DEAREST = 0.75;
 /** m of arrow for each m/s, and px between a point and the foot of its arrow. */
 const ARROW_M_PER_MPS = 0.45;
 const ARROW_FOOT_PX = 13;
+/** Corners of a robot without an outline where it has a heading. */
+const DISC_CORNERS = 24;
+/** px of the mark of a cusp, from its middle. */
+const CUSP_PX = 5;
 /** px of the dot on an anchor where the robot would be at the time of the time bar. */
 const DOT_PX = 2.5;
 
@@ -62,11 +67,13 @@ export class Stage extends Surface {
     return [origin[0] + (left - x0) / this.scale, origin[1] + (y0 - top) / this.scale];
   }
 
-  /** The tip of an end's velocity arrow in CSS pixels; at rest it points from start to goal. */
-  arrowTip({ x, y, vx, vy }) {
-    const { start, goal } = this.scene;
+  /** The tip of an end's velocity arrow in CSS pixels; a body's points along its heading, others at rest from start to goal. */
+  arrowTip(end) {
+    const { scene } = this;
+    const { x, y, vx, vy } = end;
     const speed = Math.hypot(vx, vy);
-    const direction = speed > 1e-6 ? Math.atan2(vy, vx) : Math.atan2(goal.y - start.y, goal.x - start.x);
+    const turns = scene.hasBody && (end === scene.start || end === scene.goal);
+    const direction = turns || speed <= 1e-6 ? scene.headingOf(turns ? end : {}) : Math.atan2(vy, vx);
     const length = 2 * ARROW_FOOT_PX + speed * ARROW_M_PER_MPS * this.scale;
     const [left, top] = this.toScreen(x, y);
     return [left + length * Math.cos(direction), top - length * Math.sin(direction)];
@@ -128,12 +135,29 @@ export class Stage extends Surface {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, this.lines.width, this.lines.height);
     context.setTransform(this.density, 0, 0, this.density, 0, 0);
-    if (this.show.anchors) drawAnchors(context, this);
+    if (!this.show.anchors) return;
+    drawAnchors(context, this);
+    if (this.show.anchors.headings && !this.show.stale && !this.show.robot) this.#paintAlong(context);
+  }
+
+  /** The robot's outline along the anchor in focus, and where it drives the other way. */
+  #paintAlong(context) {
+    const { colours, show: { anchors, focus } } = this;
+    const corners = this.scene.corners ?? disc(this.scene.options.robot_radius);
+    const { poses, cusps } = posesAlong(anchors, focus ?? anchors.best, lengthOf(corners));
+    const tones = { 1: colours.ink, [-1]: colours.bad, 0: colours.person };
+    for (const pose of poses) outline(context, this, corners, pose, { colour: tones[pose.gear], width: 1, opacity: 0.55 });
+    for (const { x, y } of cusps) {
+      const [left, top] = this.toScreen(x, y);
+      const mark = [[0, -1], [1, 0], [0, 1], [-1, 0], [0, -1]].map(([right, down]) => [left + CUSP_PX * right, top + CUSP_PX * down]);
+      stroke(context, mark, { colour: colours.outline, width: 5 });
+      stroke(context, mark, { colour: colours.bad, width: 2.5 });
+    }
   }
 
   #paintGround() {
     this.#groundIsOld = false;
-    const { colours, density, scale, scene: { grid, options } } = this;
+    const { colours, density, scale, scene: { grid, innerRadius } } = this;
     const context = this.ground.getContext("2d");
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.fillStyle = colours.halo;
@@ -150,7 +174,7 @@ export class Stage extends Surface {
     context.fill();
     const [wall, unknown] = [OCCUPIED, UNKNOWN].map((value) => cellsOf(grid, (row, column) => grid.at(row, column) === value));
     // The band where the robot's middle must not be.
-    Object.assign(context, { strokeStyle: colours.halo, lineJoin: "round", lineWidth: (2 * options.robot_radius) / grid.resolution });
+    Object.assign(context, { strokeStyle: colours.halo, lineJoin: "round", lineWidth: (2 * innerRadius) / grid.resolution });
     context.stroke(wall);
     context.stroke(unknown);
     this.#paintSoftCosts(context);
@@ -194,6 +218,10 @@ export class Stage extends Surface {
     const place = this.toScreen(end.x, end.y);
     const dash = Math.hypot(end.vx, end.vy) > 1e-6 ? [] : [1, 4];
     stroke(this.context, [place, this.arrowTip(end)], { colour, width: 2, dash });
+    if (this.scene.corners) {
+      outline(this.context, this, this.scene.corners, { ...end, heading: this.scene.headingOf(end) }, { colour, width: 1.5, opacity: 0.7 });
+      return;
+    }
     circle(this.context, place, this.scene.options.robot_radius * this.scale, { colour, width: 1, opacity: 0.5 });
   }
 
@@ -220,12 +248,18 @@ export class Stage extends Surface {
     this.#paintRobot(anchors.at(focus ?? anchors.best, time));
   }
 
-  #paintRobot({ x, y, vx, vy }) {
-    const { context, colours } = this;
+  #paintRobot({ x, y, vx, vy, heading: turned }) {
+    const { context, colours, scene: { corners } } = this;
     const place = this.toScreen(x, y);
+    const heading = turned ?? Math.atan2(vy, vx);
+    if (corners) {
+      outline(context, this, corners, { x, y, heading }, { fill: colours.start, colour: colours.card, width: 2.5 });
+      const front = Math.max(...corners.map(([forward]) => forward));
+      stroke(context, [place, this.toScreen(x + front * Math.cos(heading), y + front * Math.sin(heading))], { colour: colours.card, width: 2.5 });
+      return;
+    }
     const radius = this.scene.options.robot_radius * this.scale;
     circle(context, place, radius, { fill: colours.start, colour: colours.card, width: 2.5 });
-    const heading = Math.atan2(vy, vx);
     const nose = [place[0] + radius * Math.cos(heading), place[1] - radius * Math.sin(heading)];
     stroke(context, [place, nose], { colour: colours.card, width: 2.5 });
   }
@@ -235,6 +269,30 @@ export class Stage extends Surface {
     circle(this.context, this.toScreen(x, y), Math.max(radius * this.scale, 3), { colour, width: 1.2, dash: erase ? [3, 3] : [] });
   }
 }
+
+/** An outline of corners in m at a pose, filled if there is a `fill`. */
+function outline(context, surface, corners, pose, { fill, colour, width, opacity = 1 }) {
+  context.save();
+  Object.assign(context, { strokeStyle: colour, lineWidth: width, globalAlpha: opacity, lineJoin: "round" });
+  context.beginPath();
+  for (const [x, y] of placed(corners, pose)) context.lineTo(...surface.toScreen(x, y));
+  context.closePath();
+  if (fill) {
+    context.fillStyle = fill;
+    context.fill();
+  }
+  context.stroke();
+  context.restore();
+}
+
+/** [[x, y]] m of a disc with a nose. */
+function disc(radius) {
+  const turn = (k) => (2 * Math.PI * k) / DISC_CORNERS;
+  const ring = Array.from({ length: DISC_CORNERS + 1 }, (_, k) => [radius * Math.cos(turn(k)), radius * Math.sin(turn(k))]);
+  return [[0, 0], ...ring];
+}
+
+const lengthOf = (corners) => Math.max(...corners.map(([x]) => x)) - Math.min(...corners.map(([x]) => x));
 
 /** A path in cells (x = column, y = row) of the rows of cells that belong to it. */
 function cellsOf(grid, belongs) {

@@ -9,6 +9,8 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowD
 /** m or m/s that an arrow key moves an end or its velocity; Shift makes it five times as much. */
 const KEY_STEP = 0.1;
 const SHIFT_STEPS = 5;
+/** rad that an arrow key turns a heading. */
+const TURN_STEP = Math.PI / 36;
 const [MIN_BRUSH, MAX_BRUSH] = [0.1, 1.6];
 
 /**
@@ -224,6 +226,8 @@ export class Painting {
 
 const steps = ({ key, shiftKey }, step) => ARROWS[key].map((sign) => sign * step * (shiftKey ? SHIFT_STEPS : 1));
 
+const degrees = (heading) => `${Math.round((heading * 180) / Math.PI)}°`;
+
 /** Start, goal, people and the tips of their velocity arrows: buttons over the canvas that one drags. */
 export class Handles {
   constructor(stage, scene) {
@@ -271,9 +275,11 @@ export class Handles {
       const { x, y, vx, vy } = end();
       const [left, top] = isTip ? stage.arrowTip(end()) : stage.toScreen(x, y);
       button.style.transform = `translate(${clamp(left, 8, stage.width - 8)}px, ${clamp(top, 8, stage.height - 8)}px)`;
+      const turns = isTip && this.#turns(person);
       const text = (isTip ? [vx, vy] : [x, y]).map((number) => number.toFixed(2)).join(", ");
-      button.setAttribute("aria-label", `${name} ${isTip ? "velocity" : "position"} ${text} ${isTip ? "m/s" : "m"}`);
-      button.title = isTip ? `${name} velocity: drag the tip` : `${name}: drag it${person === undefined ? "" : ", or press Delete"}`;
+      button.setAttribute("aria-label", turns ? `${name} heading ${degrees(scene.headingOf(end()))}, speed ${Math.hypot(vx, vy).toFixed(2)} m/s`
+        : `${name} ${isTip ? "velocity" : "position"} ${text} ${isTip ? "m/s" : "m"}`);
+      button.title = turns ? `${name} heading: drag the tip round, and out for a speed` : isTip ? `${name} velocity: drag the tip` : `${name}: drag it${person === undefined ? "" : ", or press Delete"}`;
     }
   }
 
@@ -291,6 +297,7 @@ export class Handles {
       const left = move.clientX - slip[0] - frame.left - board.clientLeft;
       const top = move.clientY - slip[1] - frame.top - board.clientTop;
       if (!end()) done.abort(); // deleted meanwhile
+      else if (isTip && this.#turns(person)) this.#point(end(), left, top);
       else if (isTip) this.#setVelocity(end(), this.stage.arrowVelocity(end(), left, top, this.#fastest(person)));
       else this.#setPosition(end(), this.stage.toWorld(left, top));
     }, { signal });
@@ -303,7 +310,10 @@ export class Handles {
     event.preventDefault();
     const [dx, dy] = steps(event, KEY_STEP);
     const { x, y, vx, vy } = end();
-    if (isTip) {
+    if (isTip && this.#turns(person)) {
+      const heading = this.scene.headingOf(end()) - Math.sign(dx) * TURN_STEP * (event.shiftKey ? SHIFT_STEPS : 1);
+      this.#setHeading(end(), heading, clamp(Math.hypot(vx, vy) + dy, 0, this.#fastest(person)));
+    } else if (isTip) {
       const share = Math.min(1, this.#fastest(person) / (Math.hypot(vx + dx, vy + dy) || 1));
       this.#setVelocity(end(), [(vx + dx) * share, (vy + dy) * share]);
     } else {
@@ -317,6 +327,22 @@ export class Handles {
     this.scene.people.splice(person, 1);
     this.scene.changed("people");
     (this.people.length ? this.people.at(2 * person) ?? this.people.at(-2) : { button: this.stage.canvas }).button.focus();
+  }
+
+  /** Whether the tip of an end turns the robot: it has a body. */
+  #turns(person) {
+    return person === undefined && this.scene.hasBody;
+  }
+
+  /** Turn an end to a point in CSS pixels; far from it there is a speed too. */
+  #point(end, left, top) {
+    const [x, y] = this.stage.toWorld(left, top);
+    this.#setHeading(end, Math.atan2(y - end.y, x - end.x), Math.hypot(...this.stage.arrowVelocity(end, left, top)));
+  }
+
+  #setHeading(end, heading, speed) {
+    Object.assign(end, { heading, vx: speed * Math.cos(heading), vy: speed * Math.sin(heading) });
+    this.scene.changed("ends");
   }
 
   #fastest(person) {

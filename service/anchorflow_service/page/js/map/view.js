@@ -6,6 +6,7 @@ import { drawCharts, say } from "../figures.js";
 import { plan } from "../service.js";
 import { listenForCopies, listenForDrops, toCurl } from "../share.js";
 import { AnchorView } from "../view.js";
+import { BodyControl } from "./body.js";
 import { readMap } from "./map_files.js";
 import { TimeBar } from "./people.js";
 import { Replay } from "./replay.js";
@@ -41,6 +42,7 @@ export class MapView extends AnchorView {
     this.timeBar = new TimeBar(this.surface, scene);
     this.bubble = new Bubble(this.surface, scene);
     this.style = new StyleControl((style) => this.#set({ style }));
+    this.body = new BodyControl((body) => this.#set({ body }));
     this.replay = new Replay(this.surface, () => press("replay", false, "Replay the flow"));
     this.robot = new Robot(this.surface, scene, {
       ask: () => planner.busy || planner.ask(),
@@ -96,7 +98,6 @@ export class MapView extends AnchorView {
     this.#showForm();
     const gives = (...names) => names.every((name) => card.answer.arrays.includes(name));
     byId("drive").disabled = !gives("velocities", "accelerations");
-    byId("replay").disabled = !this.scene.hasFlow;
     for (const [by, array] of Object.entries(COLOURED)) document.querySelector(`[name=colour][value=${by}]`).disabled = !gives(array);
     if (this.scene.grid) this.scene.changed("options");
     else this.scene.useMap(sampleMap("forest", FIRST_SAMPLE.forest));
@@ -109,7 +110,7 @@ export class MapView extends AnchorView {
 
   /** Take options of the form. */
   choose(options) {
-    Object.assign(this.scene.options, options);
+    this.scene.choose(options);
     this.#set({});
   }
 
@@ -121,8 +122,10 @@ export class MapView extends AnchorView {
 
   #showForm() {
     const { scene, card } = this;
-    this.form.show(scene.options, card);
+    this.form.show(scene.options, card, scene.unused);
     this.style.show(scene.style);
+    this.body.show(scene.body);
+    byId("replay").disabled = !scene.hasFlow || this.robot.active;
     const { horizon_s: horizon } = card.conditioning.limits;
     byId("bundle-hint").textContent = `What answers: ${horizon === null ? "each anchor in its own time" : `${horizon} s`}, in ${card.time.steps} steps.`;
   }
@@ -252,11 +255,11 @@ export class MapView extends AnchorView {
 
   /** Open a scene for the bundle that it names, if that is served. */
   #openScene(name, text) {
-    const { card, grid, ends, people, style, options, left } = readScene(name, text, this.card, this.bundles, this.form.fields);
+    const { card, grid, ends, people, body, style, options, left } = readScene(name, text, this.card, this.bundles, this.form.fields);
     if (card.name !== this.card.name) this.bundles.choose(card);
     else this.scene.useCard(card);
     Object.assign(this.scene.options, options);
-    if (style) this.scene.style = style;
+    Object.assign(this.scene, { body, ...(style ? { style } : {}) });
     this.#openMap(grid, { ends, people }, `${name} is open.${left.length ? ` Left out: ${left.join(", ")}.` : ""}`);
   }
 
