@@ -171,7 +171,7 @@ class Driver:
         """Return the controller's state [5], in which the robot will be when it obeys."""
         motion = scene.motion.after(self.settings["robot.delay_s"], self._twist)
         pose = motion.pose
-        omni = self._controller.robot.kind == "omni"
+        omni = self._controller.robot.is_omni
         rates = motion.velocity if omni else motion.twist[[0, 2]]
         return np.array([pose.x, pose.y, pose.yaw, *rates])
 
@@ -179,18 +179,20 @@ class Driver:
         """Pass the scene to the planner, from where the robot will be at the answer's arrival."""
         settings, robot = self.settings, self.inputs.robot
         poses, lead_s = settings["robot.plan_poses"], settings["service.lead_s"]
+        poses = poses and not robot.is_omni
         motion = scene.motion.after(lead_s, self._twist)
         goal = [scene.goal.x, scene.goal.y, *([scene.goal.yaw] if poses else [])]
-        limit, at_least = self.inputs.speed_limit, max(motion.speed, SLOWEST)
+        body = robot.options if poses else {"a_max": robot.a_max, "robot_radius": robot.reach}
+        body["v_max"] = robot.v_max
+        if (limit := self.inputs.speed_limit) is not None:
+            body["v_max"] = min(robot.v_max, max(limit, motion.speed, SLOWEST))
         plan = self.planner.update(
             cost_map=scene.cost_map,
             x_curr=motion.x_curr(a_max=robot.a_max, with_heading=poses),
             x_goal=[*goal, *(0.0 for _ in goal)],
             obstacles=scene.obstacles,
             obstacles_age_s=scene.obstacles_age_s + lead_s,
-            v_max=robot.v_max if limit is None else min(robot.v_max, max(limit, at_least)),
-            a_max=robot.a_max,
-            **(_body(robot) if poses else {"robot_radius": robot.reach}),
+            **body,
             **settings.options,
         )
         if self._answered_at is None or plan.request_id != self._answer:
@@ -233,15 +235,3 @@ def braked(twist: Array, robot: Robot, tick_s: float) -> Array:
         return twist * max(1.0 - robot.a_max * tick_s / speed, 0.0)
     turn = max(abs(twist[2]) - robot.alpha_max * tick_s, 0.0)
     return np.array([0.0, 0.0, math.copysign(turn, twist[2])])
-
-
-def _body(robot: Robot) -> dict[str, Any]:
-    """Return the fields of a request for anchors with headings."""
-    kinematics = {
-        "kind": robot.kind,
-        "min_turning_radius": robot.min_turning_radius,
-        "omega_max": robot.omega_max,
-        "reverse": robot.reverse,
-    }
-    outline = {"robot_radius": robot.radius} if robot.footprint is None else {}
-    return {"kinematics": kinematics, "footprint": robot.footprint, **outline}

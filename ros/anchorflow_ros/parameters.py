@@ -182,7 +182,9 @@ def robot_of(values: Mapping[str, Any], footprint: Any = None) -> Robot:
             **{name: values[f"robot.{name}"] for name in names},
         )
     except InvalidRequest as error:
-        raise InvalidRequest(error.message, f"robot.{error.field}") from error
+        name = (error.field or "").rpartition(".")[2]  # its wheels are a group of their own
+        message = error.message.removeprefix(f"{error.field}: ")
+        raise InvalidRequest(message, f"robot.{name}") from error
 
 
 def _check(values: Mapping[str, Any]) -> None:
