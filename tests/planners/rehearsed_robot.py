@@ -17,6 +17,7 @@ from anchorflow_ros.simulation import Base
 
 LATENCY_S = 0.06
 TICK_S = 0.05
+OPTIONS = '{"seed": 1, "sampler": {"method": "midpoint", "schedule": {"uniform": 2}}}'
 
 
 class Switched:
@@ -46,7 +47,9 @@ class Rehearsal:
         self.clock, self.steady = SimulatedTime(), 100.0
         self.clock.now = 50.0
         parameters = {name.replace("__", "."): value for name, value in given.items()}
-        self.settings = Settings.of({"service.num_samples": 8, **parameters})
+        self.settings = Settings.of(
+            {"service.num_samples": 8, "service.options": OPTIONS, **parameters}
+        )
         executor = LatencyExecutor(self.clock, fixed_s=LATENCY_S)
         self.driver = Driver(self.settings, client, executor=executor)
         self.base = Base(start)
