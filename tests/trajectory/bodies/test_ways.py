@@ -75,7 +75,7 @@ def test_a_way_ends_in_its_pose_and_never_slips() -> None:
     assert np.abs(across).max() < 1e-3
     ahead = legs[:, 0] * np.cos(middle) + legs[:, 1] * np.sin(middle)
     assert (np.sign(ahead) == way[1:, 3]).all()
-    assert (np.abs(np.diff(way[:, 2])) <= np.abs(ahead) / CAR.min_radius + 1e-6).all()
+    assert (np.abs(np.diff(way[:, 2])) <= 1.001 * np.abs(ahead) / CAR.min_radius + 1e-6).all()
 
 
 def test_gears_are_those_that_wheels_have() -> None:

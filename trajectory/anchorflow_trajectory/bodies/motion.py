@@ -154,9 +154,14 @@ def law_along(
     pull = PULLING * limits.a_max
     if turning:
         pull = limits.omega_max / SPIN_S
-        speeds = np.full(count, pace * SPIN_SHARE * limits.omega_max)
+        bounds = np.full(count, SPIN_SHARE * limits.omega_max)
     else:
-        speeds = _highest_speeds(rows, limits, pace)
+        bounds = _highest_speeds(rows, limits)
+    speeds = np.minimum(bounds, pace * (limits.omega_max if turning else limits.v_max))
+    # Who is faster than its pace slows down to it.
+    for k in range(count):
+        slowing = np.sqrt(max(begin**2 - 2.0 * pull * places[k], 0.0))
+        speeds[k] = max(speeds[k], min(slowing, bounds[k]))
     keeps = begin <= speeds[0] * 1.1 + 1e-3
     speeds[0], speeds[count - 1] = begin, min(end, speeds[count - 1])
     for k in range(count - 2, 0, -1):
@@ -180,13 +185,13 @@ def law_along(
 
 
 @compiled
-def _highest_speeds(rows: FloatArray, limits: Limits, pace: float) -> NDArray[np.float64]:
+def _highest_speeds(rows: FloatArray, limits: Limits) -> NDArray[np.float64]:
     """The highest speeds [R] in the bends of a stretch [R, 6] that is driven.
 
     Each holds for the bends within half a window too, since the law is averaged.
     """
-    most, count = pace * limits.v_max, len(rows)
-    half, low, high = 0.5 * limits.window * most, 0, 0
+    count, half = len(rows), 0.5 * limits.window * limits.v_max
+    low, high = 0, 0
     speeds = np.empty(count)
     for k in range(count):
         while rows[low, ALONG] < rows[k, ALONG] - half:
@@ -195,7 +200,7 @@ def _highest_speeds(rows: FloatArray, limits: Limits, pace: float) -> NDArray[np
             high += 1
         bend = max(np.abs(rows[low : high + 1, BEND]).max(), TIGHT)
         in_turns = SPIN_SHARE * limits.omega_max / bend
-        speeds[k] = min(most, in_turns, np.sqrt(SIDEWAYS * limits.a_max / bend))
+        speeds[k] = min(limits.v_max, in_turns, np.sqrt(SIDEWAYS * limits.a_max / bend))
     return speeds
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
-from anchorflow_trajectory.bodies.curves import Pull, settle
-from anchorflow_trajectory.bodies.motion import CLOSE, certify, drive, room_to_movers
+from anchorflow_trajectory.bodies.curves import KEPT, Pull, settle
+from anchorflow_trajectory.bodies.motion import CLOSE, COLUMNS, certify, drive, room_to_movers
 from anchorflow_trajectory.bodies.scene import BETWEEN, LEAST_CELL, BodyScene
 from anchorflow_trajectory.bodies.ways import Run, Stretch, WaySearch
 from anchorflow_trajectory.finish.refiner import Refined, numbered
@@ -25,6 +25,7 @@ ROOM, BEND, SOFT, EVEN, SHORT, RATE = 30.0, 1.0, 1.0, 2.0, 0.1, 0.25
 AIMED, ALLOWED = 0.96, 1.02  # of the tightest turn's curvature
 EASY_TURN = 0.5  # share of v_max at which bends are driven at omega_max
 SHARES = (1.0, 0.5)  # of an anchor's own shape, tried until it is safe
+EASED_S = 1.5  # s from the start, in which shapes begin to differ
 PACES = (0.7, 0.97)  # shares of v_max
 YIELDS = ((0.0, 1.0), (0.0, 0.6), (0.6, 1.0), (1.5, 1.0), (3.0, 1.0), (0.0, 0.35), (6.0, 1.0))
 """Waits [s] and factors on the speed, tried until nothing that moves is met."""
@@ -43,84 +44,93 @@ class BodyPlanner:
     def plan(self, count: int, seed: int, certified_margin: float = 0.0) -> Refined:
         """Return `count` anchors with positions [N, T, 3]: x and y in m, heading in rad."""
         ways = WaySearch(self.problem, self.run).find(certified_margin)
-        share = [count // len(ways) + (k < count % len(ways)) for k in range(len(ways))]
+        lines = [_Line.empty(way) for way in ways]
+
+        def lay(k: int) -> None:
+            lines[k] = self._line(ways[k], certified_margin)
+
+        self.run([partial(lay, k) for k in range(len(ways))])
+        # A way whose own curve touches something gets no anchors while another does not.
+        lines = [line for line in lines if line.safe] or lines
+        share = [count // len(lines) + (k < count % len(lines)) for k in range(len(lines))]
         rng = np.random.default_rng(seed)
-        parts = [_Driven.empty(0, self.steps)] * len(ways)
+        parts = [_Driven.empty(0, self.steps)] * len(lines)
         drawn = [rng.normal(size=(n, 2, 3)) for n in share]
         paces = [rng.uniform(*PACES, n) for n in share]
 
         def finish(k: int) -> None:
-            parts[k] = self._anchors(ways[k], drawn[k], paces[k], certified_margin)
+            parts[k] = self._anchors(lines[k], drawn[k], paces[k], certified_margin)
 
         # One anchor may be asked of several ways.
-        self.run([partial(finish, k) for k in range(len(ways)) if share[k]])
+        self.run([partial(finish, k) for k in range(len(lines)) if share[k]])
         return self._joined(parts)
 
-    def _anchors(
-        self, way: list[Stretch], drawn: FloatArray, paces: FloatArray, certified: float
-    ) -> _Driven:
-        """Return anchors along a way, with shapes drawn [N, 2, 3] and paces [N]."""
-        count, outline = len(drawn), self.problem.body.outline
+    def _line(self, way: list[Stretch], certified: float) -> _Line:
+        """Return a way's own curve, with room about it if that can be had."""
+        settled = [self._settled(s, s.control[None].copy(), LEAST_MARGIN, LONG) for s in way]
+        line = _Line.empty(way)
+        for controls in (settled, [each.control[None] for each in way]):
+            table, safe, room = self._checked(line, controls, certified)
+            line = replace(line, controls=controls, table=table, safe=safe[0], room=room[0])
+            if line.safe:
+                break
+        return line
+
+    def _checked(
+        self, line: _Line, controls: Sequence[FloatArray], certified: float
+    ) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Return the tables [N, R, 6] of curves [N, K, 2], which are safe, and their room [N] m."""
+        outline, wheels = self.problem.body.outline, self.problem.body.wheels
         grown = outline.grown(BETWEEN + certified)
-        gears = np.array([each.gear for each in way])
-        begins = np.append(0, np.cumsum([each.rows for each in way]))
-        wheels, rim = self.problem.body.wheels, outline.rim(RIM)
         clear = 0.5 * RIM + BETWEEN + certified + CLOSE + self.problem.scene.resolution
         most_bend = ALLOWED / wheels.min_radius if wheels.min_radius > 0.0 else np.inf
+        number = max(len(each) for each in controls)
+        rows = [s.tables(c, number) for s, c in zip(line.way, controls, strict=True)]
+        table = np.concatenate(rows, axis=1)
+        safe, least = certify(
+            table, line.gears, line.begins, self.problem.ground, grown.corners, grown.reach,
+            outline.rim(RIM), self.problem.room, clear, most_bend,
+        )  # fmt: skip
+        return table, safe, least
 
-        def checked(controls: Sequence[FloatArray]) -> tuple[FloatArray, BoolArray, FloatArray]:
-            number = max(len(each) for each in controls)
-            rows = [s.tables(c, number) for s, c in zip(way, controls, strict=True)]
-            table = np.concatenate(rows, axis=1)
-            safe, least = certify(
-                table, gears, begins, self.problem.ground, grown.corners, grown.reach, rim,
-                self.problem.room, clear, most_bend,
-            )  # fmt: skip
-            return table, safe, least
+    def _anchors(
+        self, line: _Line, drawn: FloatArray, paces: FloatArray, certified: float
+    ) -> _Driven:
+        """Return anchors along a way, with shapes drawn [N, 2, 3] and paces [N].
 
-        raw = [each.control[None] for each in way]
-        settled = [self._settled(s, s.control[None].copy(), LEAST_MARGIN, LONG) for s in way]
-        rows, safe, least = checked(settled)
-        if not safe[0]:
-            settled = raw
-            rows, safe, least = checked(raw)
-        own = [self._varied(s, c[0], drawn) for s, c in zip(way, settled, strict=True)]
-        table, is_safe = np.repeat(rows, count, 0), np.repeat(safe, count)
-        room = np.repeat(least, count)
-        todo = np.arange(count) > 0
+        One whose shape is not safe, or cannot be driven from the start on, takes the way's own.
+        """
+        count, controls = len(drawn), line.controls
+        own = [self._varied(s, c[0], drawn) for s, c in zip(line.way, controls, strict=True)]
+        table = np.repeat(line.table, count, 0)
+        driven = _Driven.empty(count, self.steps)
+        driven.safe[:], driven.room[:] = line.safe, line.room
+        shaped = np.zeros(count, np.bool_)
         for share in SHARES:
-            chosen = np.flatnonzero(todo)
+            chosen = np.flatnonzero(~shaped)[1 if share == SHARES[0] else 0 :]
             if not len(chosen):
                 break
-            mixed = [
-                base + share * (other[chosen] - base)
-                for base, other in zip(settled, own, strict=True)
-            ]
-            rows, safe, least = checked(mixed)
+            pairs = zip(controls, own, strict=True)
+            mixed = [base + share * (other[chosen] - base) for base, other in pairs]
+            rows, safe, least = self._checked(line, mixed, certified)
             done = chosen[safe]
-            table[done], is_safe[done], room[done] = rows[safe], True, least[safe]
-            todo[done] = False
-        driven = _Driven.empty(count, self.steps)
-        timed = partial(
-            self._drive,
-            table,
-            gears,
-            begins,
-            self.problem.last_speed(way[-1].gear, way[-1].poses[-1, 2]),
-        )
-        keeps = timed(driven, np.arange(count), paces, 0.0)
-        keeps &= not self.problem.moves or way[0].gear == self.problem.first_gear
-        driven.room[:] = room
-        driven.safe[:] = is_safe & keeps
-        self._pass_movers(driven, timed, paces, certified)
+            table[done], driven.room[done] = rows[safe], least[safe]
+            driven.safe[done] = shaped[done] = True
+        keeps = self._drive(line, table, driven, np.arange(count), paces, 0.0)
+        if len(stiff := np.flatnonzero(shaped & ~keeps)):
+            table[stiff], driven.room[stiff] = line.table, line.room
+            own_keeps = self._drive(line, table, driven, stiff, paces[stiff], 0.0)
+            keeps[stiff] = own_keeps & line.safe
+        driven.safe[:] &= keeps
+        if self.problem.moves and line.way[0].gear != self.problem.first_gear:
+            driven.safe[:] = False
+        self._pass_movers(line, table, driven, paces, certified)
         return driven
 
     def _drive(
         self,
+        line: _Line,
         table: FloatArray,
-        gears: NDArray[np.int64],
-        begins: NDArray[np.int64],
-        end: float,
         driven: _Driven,
         chosen: NDArray[np.intp],
         paces: FloatArray,
@@ -130,8 +140,11 @@ class BodyPlanner:
         motion = np.zeros((3, len(chosen), self.steps, 3))
         durations = np.empty(len(chosen))
         lasts = self.problem.scene.motion.horizon_s or 0.0
+        last = line.way[-1]
+        end = self.problem.last_speed(last.gear, float(last.poses[-1, 2]))
         keeps = drive(
-            table[chosen], gears, begins, self.problem.limits, np.ascontiguousarray(paces),
+            table[chosen], line.gears, line.begins, self.problem.limits,
+            np.ascontiguousarray(paces),
             np.full(len(chosen), wait), abs(self.problem.first_speed), end, lasts, motion,
             durations,
         )  # fmt: skip
@@ -140,8 +153,9 @@ class BodyPlanner:
 
     def _pass_movers(
         self,
+        line: _Line,
+        table: FloatArray,
         driven: _Driven,
-        timed: Callable[..., BoolArray],
         paces: FloatArray,
         certified: float,
     ) -> None:
@@ -155,7 +169,8 @@ class BodyPlanner:
             if wait or slower != 1.0:
                 if wait and self.problem.moves:
                     continue
-                free[chosen] &= timed(driven, chosen, slower * paces[chosen], wait)
+                own = slower * paces[chosen]
+                free[chosen] &= self._drive(line, table, driven, chosen, own, wait)
             if not len(chosen):
                 return
             found = room_to_movers(
@@ -202,7 +217,11 @@ class BodyPlanner:
         share = np.linspace(0.0, 1.0, points)
         waves = np.sin(np.pi * np.arange(1, 4)[:, None] * share) / np.arange(1, 4)[:, None]
         wide = WIDE * self.problem.cell / LEAST_CELL
-        offset = wide * drawn[:, 0] @ waves
+        # Who is fast has no room for a bend at once.
+        legs = float(np.hypot(*np.diff(base, axis=0).T).sum())
+        speed = abs(self.problem.first_speed) if stretch.held > KEPT else 0.0
+        eased = np.minimum(share * legs / max(EASED_S * speed, 1e-9), 1.0)
+        offset = wide * drawn[:, 0] @ waves * eased**2
         offset[:, : stretch.held] = 0.0
         offset[:, points - stretch.last :] = 0.0
         controls = base + offset[..., None] * across
@@ -249,6 +268,28 @@ class BodyPlanner:
             way = (dear * speed).mean(1) * duration
             cost += way / (limits.v_max * reference)
         return -cost
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A way's own curve: control points of each stretch [1, K, 2], table [1, R, 6], and verdict.
+
+    gears: [G] of its stretches; begins: [G + 1], their first rows in the table
+    """
+
+    way: list[Stretch]
+    gears: NDArray[np.int64]
+    begins: NDArray[np.int64]
+    controls: Sequence[FloatArray] = ()
+    table: FloatArray = field(default_factory=lambda: np.empty((1, 0, COLUMNS)))
+    safe: bool = False
+    room: float = np.inf
+
+    @staticmethod
+    def empty(way: list[Stretch]) -> _Line:
+        """Return the line of a way, without its curve."""
+        begins = np.append(0, np.cumsum([each.rows for each in way]))
+        return _Line(way, np.array([each.gear for each in way]), begins)
 
 
 @dataclass(frozen=True, eq=False)

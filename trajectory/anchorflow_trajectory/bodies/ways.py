@@ -24,8 +24,9 @@ Run = Callable[[Sequence[Callable[[], None]]], None]
 """Calls functions, side by side if it likes."""
 
 GUIDE_CELLS, GUIDE_STEP = 64, 0.15  # most cells of a guide's side, and m between its points
-TRIES = ((0.035, 1.0), (0.015, 1.0), (0.013, 0.5))
-"""Margins [m] about the outline that a search keeps, and its cell in shares of the usual one."""
+TRIES = ((0.035, 1.0, 1.13), (0.015, 1.0, 1.13), (0.013, 0.5, 1.02))
+"""Margins [m] about the outline that a search keeps, its cell in shares of the usual one, and a
+factor on the tightest turn: bends of a spline are tighter than those of what it follows."""
 MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'
 BRAKING = 0.7  # share of a_max
 FINE = 8  # rows of a span
@@ -74,20 +75,25 @@ class WaySearch:
     def find(self, certified: float) -> list[list[Stretch]]:
         """Return the ways on which the body fits, the cheapest first; at least one."""
         routes = self.problem.scene.routes[:MOST_WAYS]
-        for margin, finer in TRIES:
+        for margin, finer, spare in TRIES:
             found: list[NDArray[np.float64]] = [np.empty((0, 4))] * len(routes)
 
-            def search(k: int, margin: float = margin, finer: float = finer) -> None:
+            kept, cell = margin + certified, finer * self.problem.cell
+
+            def search(
+                k: int, kept: float = kept, cell: float = cell, spare: float = spare
+            ) -> None:
                 most = FEWER_POSES if k else MOST_POSES
-                cell = finer * self.problem.cell
-                found[k] = self._search(routes[k], margin + certified, cell, most)  # noqa: B023
+                found[k] = self._search(routes[k], kept, cell, spare, most)  # noqa: B023
 
             self.run([partial(search, k) for k in range(len(routes))])
             if ways := self._different([way for way in found if len(way) > 1]):
                 return [self._stretches(way) for way in ways]
         return [self._stretches(self._along(routes))]
 
-    def _search(self, route: Route, margin: float, cell: float, most: int) -> NDArray[np.float64]:
+    def _search(
+        self, route: Route, margin: float, cell: float, spare: float, most: int
+    ) -> NDArray[np.float64]:
         """Return a way [P, 4] along a route, or an empty one."""
         scene, start = self.problem.scene, self.problem.start
         outline = self.problem.body.outline.grown(margin)
@@ -106,7 +112,13 @@ class WaySearch:
             self.problem.ground,
             outline.corners,
             outline.reach,
-            moves_of(self.problem.body.wheels, cell=cell, v_max=motion.v_max, a_max=motion.a_max),
+            moves_of(
+                self.problem.body.wheels,
+                cell=cell,
+                v_max=motion.v_max,
+                a_max=motion.a_max,
+                spare=spare,
+            ),
             cell,
             Guide(left, float(origin[0]), float(origin[1]), fine),
             np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 FORWARD, BACKWARD, TURNING, STANDING = 1, -1, 0, 2
 """Gears; a robot that stands may take any."""
-SPARE = 1.13  # of the tightest turn: bends of a spline are tighter than what it follows
 STEP = 1.8  # cells of a search that a short motion covers
 LOOKS = 3  # poses of a short motion at which it is tested
 SOFT_TURN, HARD_TURN = 0.17, 0.36  # rad of heading in a short motion
@@ -54,12 +53,17 @@ class Moves(NamedTuple):
     bins: int
 
 
-def moves_of(wheels: Wheels, *, cell: float, v_max: float, a_max: float) -> Moves:
-    """Return the short motions for a search with cells of `cell` m."""
+def moves_of(
+    wheels: Wheels, *, cell: float, v_max: float, a_max: float, spare: float = 1.0
+) -> Moves:
+    """Return the short motions for a search with cells of `cell` m.
+
+    spare: factor on the radius of the tightest turn
+    """
     step = STEP * cell
     softest, hardest = SOFT_TURN / step, HARD_TURN / step
     if wheels.min_radius > 0.0:
-        hardest = min(hardest, 1.0 / (SPARE * wheels.min_radius))
+        hardest = min(hardest, 1.0 / (spare * wheels.min_radius))
         softest = min(softest, 0.5 * hardest)
     found: list[tuple[NDArray[np.float64], int, float, float]] = []
     shares = np.arange(1, LOOKS + 1) / LOOKS
@@ -73,7 +77,7 @@ def moves_of(wheels: Wheels, *, cell: float, v_max: float, a_max: float) -> Move
             poses = np.stack([0.0 * shares, 0.0 * shares, turn * shares], 1)
             found.append((poses, TURNING, 0.0, SOFT_TURN * v_max / wheels.omega_max))
     poses, gears, lengths, costs = zip(*found, strict=True)
-    radius = SPARE * wheels.min_radius if wheels.min_radius > 0.0 else 1.0 / hardest
+    radius = spare * wheels.min_radius if wheels.min_radius > 0.0 else 1.0 / hardest
     return Moves(
         np.stack(poses),
         np.array(gears),
