@@ -83,7 +83,7 @@ def assert_driven(
         middle = 0.5 * (velocity[1:] + velocity[:-1])
         between = np.sqrt(((moved / dt - middle) ** 2).mean(0))
         assert between[:2].max() < 0.03
-        assert between[2] < 0.1
+        assert between[2] < 0.15  # turns on the spot begin at omega_max in 0.4 s
         # A turn on the spot begins and ends between two samples.
         between = np.sqrt(((changed / dt - 0.5 * (pull[1:] + pull[:-1])) ** 2).mean(0))
         assert between[:2].max() < 0.35

@@ -20,9 +20,10 @@ from anchorflow_trajectory.spline.kernels import Band
 
 SPACING, LEAST_SPANS, MOST_SPANS = 2.2, 3, 60  # cells of a search from knot to knot
 LOOKS = 2  # samples of a span at which the cost of a curve is measured
+ENDS = DEGREE - 1  # control points of a clamped end that lie closer
 KEPT, LAST = 2, 2  # control points that a start's pose fixes, and an end's
 TINY = 1e-9
-STIFF = 0.5  # weight of third differences beside distances, in a fit
+STIFF = 0.5  # weight of third derivatives by knots beside distances, in a fit
 FIRST_MOMENT, SECOND_MOMENT = 0.8, 0.95  # of Adam
 
 
@@ -60,7 +61,7 @@ def fitted(
     marks = np.append(0.0, legs.cumsum())
     length, spans = max(float(marks[-1]), TINY), basis.num_control_points - DEGREE
     at = np.linspace(0.0, length, basis.num_samples)
-    wanted = np.stack([np.interp(at, marks, points[:, axis]) for axis in (0, 1)], 1)
+    wanted = _between(points, marks, at, gear)
     count = basis.num_control_points
     control = np.zeros((count, 2))
     reach = gear * length / (DEGREE * spans)
@@ -78,11 +79,25 @@ def fitted(
     free = slice(held, count - last)
     matrix = basis.position.astype(np.float64)
     residual = wanted - matrix @ control
-    jumps = np.diff(np.eye(count), 3, axis=0)
+    jumps = basis.jerk.astype(np.float64) / spans**3
     rows = np.concatenate([matrix, STIFF * jumps])[:, free]
     wanted = np.concatenate([residual, -STIFF * jumps @ control])
     control[free] = np.linalg.solve(rows.T @ rows, rows.T @ wanted)
     return control
+
+
+def _between(
+    poses: FloatArray, marks: FloatArray, at: FloatArray, gear: int
+) -> NDArray[np.float64]:
+    """Return the places [S, 2] `at` m along poses [P, 3], by cubics that have their headings."""
+    leg = np.clip(np.searchsorted(marks, at, "right") - 1, 0, len(marks) - 2)
+    length = np.maximum(marks[leg + 1] - marks[leg], TINY)
+    u = ((at - marks[leg]) / length)[:, None]
+    ahead = gear * np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], 1)
+    first, last = poses[leg, :2], poses[leg + 1, :2]
+    leaving, coming = length[:, None] * ahead[leg], length[:, None] * ahead[leg + 1]
+    place = first * (1 + 2 * u) * (1 - u) ** 2 + last * (3 - 2 * u) * u**2
+    return place + leaving * u * (1 - u) ** 2 - coming * (1 - u) * u**2
 
 
 @compiled
@@ -222,7 +237,8 @@ def _charge_shape(control: FloatArray, pull: Pull, slope: FloatArray) -> None:
     """Add to slopes [K, 2] those of an uneven curve (third differences) and of its length."""
     count = len(control)
     for d in range(2):
-        for k in range(count - 3):
+        # Clamped ends are uneven by themselves.
+        for k in range(ENDS, count - 3 - ENDS):
             jump = control[k + 3, d] - 3.0 * control[k + 2, d] + 3.0 * control[k + 1, d]
             jump = 2.0 * pull.even * (jump - control[k, d])
             slope[k, d] -= jump

@@ -24,7 +24,7 @@ Run = Callable[[Sequence[Callable[[], None]]], None]
 """Calls functions, side by side if it likes."""
 
 GUIDE_CELLS, GUIDE_STEP = 64, 0.15  # most cells of a guide's side, and m between its points
-TRIES = ((0.035, 1.0, 1.13), (0.015, 1.0, 1.13), (0.013, 0.5, 1.02))
+TRIES = ((0.035, 1.0, 1.12), (0.015, 1.0, 1.12), (0.013, 0.5, 1.02))
 """Margins [m] about the outline that a search keeps, its cell in shares of the usual one, and a
 factor on the tightest turn: bends of a spline are tighter than those of what it follows."""
 MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'

@@ -13,6 +13,7 @@ FORWARD, BACKWARD, TURNING, STANDING = 1, -1, 0, 2
 STEP = 1.8  # cells of a search that a short motion covers
 LOOKS = 3  # poses of a short motion at which it is tested
 SOFT_TURN, HARD_TURN = 0.17, 0.36  # rad of heading in a short motion
+BIN = 0.06  # rad, within which headings count as one: less than turns differ by
 STOP = 0.4  # s that a stop costs beside the time to brake and to speed up
 BACKWARDS = 1.5  # times what a way costs forwards
 BEND = 0.04  # of its length that a bend of one rad costs more
@@ -88,7 +89,7 @@ def moves_of(
         radius,
         wheels.reverse,
         wheels.spot,
-        round(2.0 * np.pi / SOFT_TURN),
+        round(2.0 * np.pi / BIN),
     )
 
 
