@@ -127,5 +127,6 @@ def test_the_cancel_service_forgets_the_goal(stage: Stage) -> None:
     answer = client.call_async(Trigger.Request())
 
     assert stage.spin_until(answer.done)
-    assert answer.result().success
+    result: Any = answer.result()
+    assert result.success
     assert stage.spin_until(lambda: reports and reports[-1].status[0].message == "goal: none")

@@ -133,7 +133,7 @@ def find_way(
         away = np.hypot(at[0] - target.pose[0], at[1] - target.pose[1])
         if away < NEAR or expanded % 8 == 1:
             shot, cost = direct_way(
-                ground, corners, reach, moves, at, nodes.gears[node], target, spans
+                ground, corners, reach, moves, at, int(nodes.gears[node]), target, spans
             )
             stays = nodes.driven[node] >= braking or (
                 len(shot) > 0 and shot[0, 3] == nodes.gears[node]
