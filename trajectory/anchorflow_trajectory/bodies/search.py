@@ -25,7 +25,7 @@ TABLE = 1 << 17  # places for poses, a power of two
 MOST_NODES = 60_000
 ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
 NEAR = 3.0  # m from the goal within which it is tried directly
-FURTHER = 150  # poses expanded after a first way
+FURTHER = 600  # poses expanded after a first way
 EMPTY = -1
 
 
