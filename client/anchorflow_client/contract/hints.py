@@ -24,6 +24,8 @@ FAR_BEYOND = 2.0
 """Times its bound, from which on a number may be meant in another unit."""
 HUGE = 1e9
 """From which on a number is in no unit."""
+FAR_OFF = 3.0
+"""Sides of the map from 0, beyond which a place may be meant in another unit."""
 COARSE = 1.0
 """m/cell, from which on a resolution may be meant in centimetres."""
 PERCENT, BYTE = 100.0, 255.0
@@ -82,13 +84,13 @@ def place_hint(
     def is_on_it(x: float, y: float) -> bool:
         return bool(low[0] <= x <= high[0] and low[1] <= y <= high[1])
 
-    is_centred = bool(np.allclose(low, -high))
+    is_centred, size = bool(np.allclose(low, -high)), float(np.max(high - low))
     if is_on_it(y, x):
         return f"; ({y:g}, {x:g}) is on it: are x and y swapped?"
     if is_centred and is_on_it(x + low[0], y + low[1]):
         return "; it would be on a map whose lower corner, `cost_map.origin`, is (0, 0)"
     for factor, name in OTHER_UNITS["m"]:
-        if is_on_it(factor * x, factor * y) and max(abs(x), abs(y)) > 1.0:
+        if is_on_it(factor * x, factor * y) and max(abs(x), abs(y)) > FAR_OFF * size:
             return f"; is it in {name}?"
     if is_on_it(low[0] + resolution * x, low[1] + resolution * y):
         return "; is it in cells? Places are in metres"
