@@ -32,15 +32,18 @@ class WayLeft(NamedTuple):
     """points: [3,P], x and y in m of points on anchors, and m left from each to the goal.
 
     sight: m to obstacles, below which a straight line does not pass
+    off_path: m of way per metre away from the nearest point; more than dear ground costs, since
+        else leaving the anchor would pay more than driving along it
     """
 
     points: Floats
     sight: np.float32
+    off_path: np.float32 = OFF_PATH_COST
 
     @staticmethod
     def straight() -> WayLeft:
         """Return the way of robots without anchors."""
-        return WayLeft(np.zeros((3, 0), np.float32), NONE)
+        return WayLeft(np.zeros((3, 0), np.float32), NONE, OFF_PATH_COST)
 
     @staticmethod
     def sight_of(discs: Floats) -> np.float32:
@@ -50,7 +53,13 @@ class WayLeft(NamedTuple):
 
 @compiled
 def metres_left(
-    points: Floats, sight: np.float32, distance: Grid, goal: Floats, states: Floats, left: Floats
+    points: Floats,
+    sight: np.float32,
+    off_path: np.float32,
+    distance: Grid,
+    goal: Floats,
+    states: Floats,
+    left: Floats,
 ) -> None:
     """Write m [K] from the ends of motions [K,T,5] to a point of an anchor and along it.
 
@@ -73,10 +82,10 @@ def metres_left(
         for k in range(len(left)):
             across, along = x[k] - to_x, y[k] - to_y
             apart = np.sqrt(across * across + along * along)
-            metres = beyond + OFF_PATH_COST * apart
+            metres = beyond + off_path * apart
             best[k] = index if metres < left[k] else best[k]
             left[k] = min(metres, left[k])
-            metres = beyond + NEAR_COST * apart
+            metres = beyond + max(NEAR_COST, off_path) * apart
             near[k] = index if metres < least[k] else near[k]
             least[k] = min(metres, least[k])
     for k in range(len(left)):
@@ -84,7 +93,7 @@ def metres_left(
             continue
         to_x, to_y = points[0, near[k]], points[1, near[k]]
         across, along = x[k] - to_x, y[k] - to_y
-        left[k] = points[2, near[k]] + OFF_PATH_COST * np.sqrt(across * across + along * along)
+        left[k] = points[2, near[k]] + off_path * np.sqrt(across * across + along * along)
         if not _sees(distance, sight, x[k], y[k], to_x, to_y):
             left[k] += BLOCKED_COST
 

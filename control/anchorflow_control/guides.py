@@ -10,7 +10,7 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.planner import Plan
 from anchorflow_control.anchor_motions import check_motions, references
 from anchorflow_control.config import MppiConfig
-from anchorflow_control.cost_to_go import WayLeft, points_along, ways_along
+from anchorflow_control.cost_to_go import OFF_PATH_COST, WayLeft, points_along, ways_along
 from anchorflow_control.rollout import Task, clearances
 
 Floats = NDArray[np.float32]
@@ -34,6 +34,7 @@ class Guides:
     def reset(self) -> None:
         """Forget the way left."""
         self._left: tuple[Floats, Array] | None = None
+        self._off_path = OFF_PATH_COST
         self._ticks_kept = 0
 
     def along(
@@ -90,7 +91,10 @@ class Guides:
     ) -> None:
         """Keep the way left along those of motions [A,S,5] that are clear."""
         ways = np.empty(motions.shape[:2], np.float32)
-        ways_along(task.around.surcharge, motions, ways)
+        surcharge = task.around.surcharge
+        ways_along(surcharge, motions, ways)
+        dearest = np.float32(surcharge.values.max(initial=0.0))
+        self._off_path = OFF_PATH_COST + dearest
         rooms = clearances(task, motions, self._config.margin, moving=False)
         clear = rooms.min(1) >= np.minimum(rooms[:, 0], self._config.margin)
         if not clear.any():
@@ -112,4 +116,4 @@ class Guides:
         points, seen_from = self._left
         moved = points.copy()
         moved[:2] += (seen_from - place)[:, None].astype(np.float32)
-        return WayLeft(moved, WayLeft.sight_of(self._discs))
+        return WayLeft(moved, WayLeft.sight_of(self._discs), self._off_path)

@@ -154,6 +154,27 @@ def test_it_goes_round_dear_ground() -> None:
     assert most_dear(ground, 3.0) < 0.02
 
 
+def test_along_anchors_it_drives_over_ground_that_is_dear_everywhere(robot: Robot) -> None:
+    """As in Nav2's inflation, where there is no cheaper way: it must not stand still."""
+    dear = np.zeros((3, 100, 100), np.float32)
+    dear[1], dear[2] = 1.0, 0.9
+    ground = CostMap.build(dear, 0.1)
+    batch = batch_of(
+        straight(START[:2], GOAL, seconds=9.0, steps=64),
+        dt=9.0 / 63,
+        scores=np.zeros(1),
+        safe=np.ones(1, bool),
+        routes=np.zeros(1, int),
+    )
+    driven = drive(
+        MppiController(robot, SMALL, tick_s=0.05),
+        START,
+        ticks=220,
+        at_tick=lambda tick, _: {"cost_map": ground, "goal": GOAL, "anchors": aged(batch, tick)},
+    )
+    assert np.linalg.norm(driven.places[-1] - GOAL) < 0.3
+
+
 def test_a_footprint_passes_where_its_circle_would_not() -> None:
     """An aisle of 1.1 m for a cart of 0.9 x 0.62 m, whose circle is 1.09 m wide with margins."""
     aisle = square_map((slice(0, 44), slice(30, 70)), (slice(56, 100), slice(30, 70)))
