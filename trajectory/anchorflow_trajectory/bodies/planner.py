@@ -26,6 +26,7 @@ AIMED, ALLOWED = 0.96, 1.02  # of the tightest turn's curvature
 EASY_TURN = 0.5  # share of v_max at which bends are driven at omega_max
 SHARES = (1.0, 0.5)  # of an anchor's own shape, tried until it is safe
 EASED_S = 1.5  # s from the start, in which shapes begin to differ
+PART = 16  # anchors of a task, on however many threads
 PACES = (0.7, 0.97)  # shares of v_max
 YIELDS = ((0.0, 1.0), (0.0, 0.6), (0.6, 1.0), (1.5, 1.0), (3.0, 1.0), (0.0, 0.35), (6.0, 1.0))
 """Waits [s] and factors on the speed, tried until nothing that moves is met."""
@@ -52,18 +53,25 @@ class BodyPlanner:
         self.run([partial(lay, k) for k in range(len(ways))])
         # A way whose own curve touches something gets no anchors while another does not.
         lines = [line for line in lines if line.safe] or lines
-        share = [count // len(lines) + (k < count % len(lines)) for k in range(len(lines))]
-        rng = np.random.default_rng(seed)
-        parts = [_Driven.empty(0, self.steps)] * len(lines)
-        drawn = [rng.normal(size=(n, 2, 3)) for n in share]
-        paces = [rng.uniform(*PACES, n) for n in share]
+        drawn, paces = _drawn(count, seed)
+        # Anchors take the ways by turns; the first of each way keeps the way's own curve.
+        of_line = [np.arange(k, count, len(lines)) for k in range(min(count, len(lines)))]
+        for own in of_line:
+            drawn[own[0]] = 0.0
+        parts = [
+            (k, own[begin : begin + PART])
+            for k, own in enumerate(of_line)
+            for begin in range(0, len(own), PART)
+        ]
+        driven = [_Driven.empty(0, self.steps)] * len(parts)
 
-        def finish(k: int) -> None:
-            parts[k] = self._anchors(lines[k], drawn[k], paces[k], certified_margin)
+        def finish(at: int) -> None:
+            k, own = parts[at]
+            driven[at] = self._anchors(lines[k], drawn[own], paces[own], certified_margin)
 
-        # One anchor may be asked of several ways.
-        self.run([partial(finish, k) for k in range(len(lines)) if share[k]])
-        return self._joined(parts)
+        self.run([partial(finish, at) for at in range(len(parts))])
+        numbers = np.concatenate([np.full(len(own), k) for k, own in parts])
+        return self._joined(driven, numbers)
 
     def _line(self, way: list[Stretch], certified: float) -> _Line:
         """Return a way's own curve, with room about it if that can be had."""
@@ -107,7 +115,7 @@ class BodyPlanner:
         driven.safe[:], driven.room[:] = line.safe, line.room
         shaped = np.zeros(count, np.bool_)
         for share in SHARES:
-            chosen = np.flatnonzero(~shaped)[1 if share == SHARES[0] else 0 :]
+            chosen = np.flatnonzero(~shaped)
             if not len(chosen):
                 break
             pairs = zip(controls, own, strict=True)
@@ -230,14 +238,13 @@ class BodyPlanner:
         margins = LEAST_MARGIN + (MOST_MARGIN - LEAST_MARGIN) * wish
         return self._settled(stretch, np.ascontiguousarray(controls), margins)
 
-    def _joined(self, parts: Sequence[_Driven]) -> Refined:
-        """Return the anchors of all ways with their scores, those of a way next to one another."""
+    def _joined(self, parts: Sequence[_Driven], numbers: NDArray[np.int64]) -> Refined:
+        """Return all anchors with their scores; numbers: [N] of their ways."""
         motion = np.concatenate([part.motion for part in parts], 1)
         duration = np.concatenate([part.duration for part in parts])
         safe = np.concatenate([part.safe for part in parts])
         room = np.concatenate([part.room for part in parts])
         scores = self._scores(motion, duration, room) - BLOCKED * ~safe
-        numbers = np.repeat(np.arange(len(parts)), [len(part.safe) for part in parts])
         classes = list(zip(numbers.tolist(), self.problem.classes(motion[0, ..., :2]), strict=True))
         position, velocity, acceleration = motion.astype(np.float32)
         return Refined(
@@ -268,6 +275,12 @@ class BodyPlanner:
             way = (dear * speed).mean(1) * duration
             cost += way / (limits.v_max * reference)
         return -cost
+
+
+def _drawn(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return what shapes are drawn from [N, 2, 3], and paces [N]."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(count, 2, 3)), rng.uniform(*PACES, count)
 
 
 @dataclass(frozen=True, eq=False)
