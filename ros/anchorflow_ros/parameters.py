@@ -21,10 +21,6 @@ MAP_TYPES = ("occupancy_grid", "costmap")
 BEYOND = ("refuse", "approach")
 IN_PROCESS = "in process"
 
-SOFT_COST = 0.45
-"""Of the controller, whose way to go counts a metre beside an anchor no more than 1.5 times: dearer
-ground would be cheaper to jump over than to drive on, and the robot would stop in inflation."""
-
 PARAMETERS: dict[str, tuple[Any, str]] = {
     "service": (
         IN_PROCESS,
@@ -139,7 +135,7 @@ class Settings:
                 max_age_ms=1e3 * values["service.max_age_s"],
                 through_speed=robot.v_max,
             )
-            controller = MppiConfig(margin=margin, cost_penalty=SOFT_COST)
+            controller = MppiConfig(margin=margin)
         except ValueError as error:
             raise InvalidRequest(str(error), "parameters") from error
         return cls(

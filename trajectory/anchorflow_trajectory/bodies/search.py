@@ -109,10 +109,9 @@ def find_way(
     heap_cost, heap_node = np.empty(MOST_NODES), np.empty(MOST_NODES, np.int64)
     nodes.poses[0], nodes.costs[0], nodes.driven[0] = start, 0.0, 0.0
     nodes.parents[0], nodes.moves[0], nodes.gears[0] = -1, -1, gear
-    held[_place(keys, _key(ground, cell, moves.bins, nodes, 0))] = 0
-    keys[_place(keys, _key(ground, cell, moves.bins, nodes, 0))] = _key(
-        ground, cell, moves.bins, nodes, 0
-    )
+    key = _key(ground, cell, moves.bins, nodes, 0)
+    place = _place(keys, key)
+    keys[place], held[place] = key, 0
     count, waiting, expanded = 1, 1, 0
     heap_cost[0], heap_node[0] = 0.0, 0
     done = np.zeros(MOST_NODES, np.bool_)

@@ -76,20 +76,23 @@ class WaySearch:
         """Return the ways on which the body fits, the cheapest first; at least one."""
         routes = self.problem.scene.routes[:MOST_WAYS]
         for margin, finer, spare in TRIES:
-            found: list[NDArray[np.float64]] = [np.empty((0, 4))] * len(routes)
-
-            kept, cell = margin + certified, finer * self.problem.cell
-
-            def search(
-                k: int, kept: float = kept, cell: float = cell, spare: float = spare
-            ) -> None:
-                most = FEWER_POSES if k else MOST_POSES
-                found[k] = self._search(routes[k], kept, cell, spare, most)  # noqa: B023
-
-            self.run([partial(search, k) for k in range(len(routes))])
-            if ways := self._different([way for way in found if len(way) > 1]):
+            cell = finer * self.problem.cell
+            if ways := self._different(self._searched(routes, margin + certified, cell, spare)):
                 return [self._stretches(way) for way in ways]
         return [self._stretches(self._along(routes))]
+
+    def _searched(
+        self, routes: Sequence[Route], margin: float, cell: float, spare: float
+    ) -> list[NDArray[np.float64]]:
+        """Return the ways [P, 4] that are found along routes."""
+        found = [np.empty((0, 4))] * len(routes)
+
+        def search(k: int) -> None:
+            most = FEWER_POSES if k else MOST_POSES
+            found[k] = self._search(routes[k], margin, cell, spare, most)
+
+        self.run([partial(search, k) for k in range(len(routes))])
+        return [way for way in found if len(way) > 1]
 
     def _search(
         self, route: Route, margin: float, cell: float, spare: float, most: int
