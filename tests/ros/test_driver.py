@@ -56,6 +56,16 @@ def test_a_robot_drives_to_its_goal_and_stands(client: Switched) -> None:
     assert (robot.base.v, robot.base.w) == (0.0, 0.0)
 
 
+def test_a_robot_drives_where_all_ground_is_inflated(client: Switched) -> None:
+    robot = Rehearsal(client)
+    robot.cells[:] = 80
+
+    robot.go(4.0, 0.0)
+    decisions = robot.run_until(lambda decision: decision.idle)
+
+    assert reason(decisions[-1]) == "goal: arrived"
+
+
 def test_plans_begin_where_the_robot_will_be(client: Switched) -> None:
     robot = driving(client, service__lead_s=0.2)
     at, v = robot.base.pose.x, robot.base.v
