@@ -10,7 +10,6 @@ import { byId, clamp, make, plain, showFill } from "./dom.js";
 const NOT_IN_FORM = new Set([
   "cost_map", "x_curr", "x_goal", "w_style", "inputs", "outputs", "model", "warm_start", "footprint",
   "obstacles", "budget_ms", "robot_id", "request_id",
-  "kinematics", // needs headings, which the page draws for bundles that have them alone
 ]);
 /** Kinds of `kinematics` that have a heading of their own. */
 export const WHEELS = ["differential", "ackermann"];
