@@ -42,6 +42,7 @@ class App {
       },
     });
     byId("ask").addEventListener("submit", (event) => event.preventDefault());
+    byId("help-open").addEventListener("click", () => byId("help").showModal());
     byId("reseed").addEventListener("click", () => this.#view.choose({ seed: Math.floor(Math.random() * SHORT_SEED) }));
   }
 

@@ -3,6 +3,8 @@
 const SVG = "http://www.w3.org/2000/svg";
 /** If every number of a kind is smaller, two decimals would print 0 for all of them. */
 const TINY = 0.01;
+/** How long a note stays. */
+const TOLD_MS = 12_000;
 
 export const byId = (id) => document.getElementById(id);
 
@@ -35,6 +37,17 @@ export function figure(value, digits = 2, all = null) {
 export const plain = (value) => String(Number(value.toFixed(3))).replace("-", "−");
 
 export const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
+
+/** Tell something beside the toolbar for a while. */
+export function note(text) {
+  const toast = byId("scene-note");
+  toast.textContent = text;
+  clearTimeout(toast.timer);
+  toast.timer = setTimeout(() => toast.replaceChildren(), TOLD_MS);
+}
+
+/** Whether a key goes into a field. */
+export const isTyping = ({ target }) => target.matches("input:not([type=range], [type=checkbox], [type=radio]), select, textarea");
 
 /** Colour a range input up to its thumb. */
 export function showFill(input) {

@@ -95,6 +95,23 @@ export class Surface {
   }
 }
 
+/** px between two labels of an axis, at least, and their distances in m. */
+const MIN_STRIDE_PX = 56;
+const STRIDES_M = [0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500];
+
+/** m between two labels of an axis with so many px a metre. */
+export const stride = (scale) => STRIDES_M.find((metres) => metres * scale >= MIN_STRIDE_PX) ?? STRIDES_M.at(-1);
+
+/** A label of an axis, legible on all that is below it. */
+export function axisText(context, { canvas, colours }, text, [left, top], align) {
+  context.save();
+  context.font = `11px ${getComputedStyle(canvas).fontFamily}`;
+  Object.assign(context, { textAlign: align, lineJoin: "round", lineWidth: 3, strokeStyle: colours.map, fillStyle: colours.soft });
+  context.strokeText(text, left, top);
+  context.fillText(text, left, top);
+  context.restore();
+}
+
 /** A stroke along points [[left, top]] in CSS pixels. */
 export function stroke(context, points, { colour, width, dash = [], opacity = 1 }) {
   context.save();

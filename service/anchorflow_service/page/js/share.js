@@ -1,6 +1,6 @@
 /** Requests as text for a shell and for Python, the clipboard, and files that are dropped on the page. */
 
-import { byId, make } from "./dom.js";
+import { byId, make, note } from "./dom.js";
 import { authorization } from "./service.js";
 
 /** The environment variable from which a copied request reads the token; the token itself is not copied. */
@@ -47,9 +47,9 @@ export function listenForCopies(isShown, write) {
       if (!isShown()) return;
       try {
         await copy(text());
-        byId("scene-note").textContent = `Copied for ${name}${needsToken() ? `; it takes the token from ${TOKEN}` : ""}.`;
+        note(`Copied for ${name}${needsToken() ? `; it takes the token from ${TOKEN}` : ""}.`);
       } catch (error) {
-        byId("scene-note").textContent = error.message;
+        note(error.message);
       }
     });
   }

@@ -45,6 +45,11 @@ export class Grid {
     return Math.max(0, ...Object.values(this.soft).map((cells) => cells[index])) / WHOLE;
   }
 
+  /** The soft cost of a cell in a layer, from 0 to 1. */
+  softAt(layer, row, column) {
+    return (this.soft[layer]?.[row * this.columns + column] ?? 0) / WHOLE;
+  }
+
   /** Set the soft cost of a cell in a layer, from 0 to 1. */
   setSoft(layer, row, column, cost) {
     if (!this.contains(row, column)) return;

@@ -108,6 +108,18 @@ export class Scene {
     return end.heading ?? Math.atan2(goal.y - start.y, goal.x - start.x);
   }
 
+  /** Put an end at [x, y] in m, or at the nearest point on the map. */
+  put(end, point) {
+    [end.x, end.y] = this.grid.inside(...point);
+    this.changed("ends");
+  }
+
+  /** Turn an end to a heading in rad, with a speed along it. */
+  turn(end, heading, speed) {
+    Object.assign(end, { heading, vx: speed * Math.cos(heading), vy: speed * Math.sin(heading) });
+    this.changed("ends");
+  }
+
   /** Whether the anchors come from a flow, which can be replayed. */
   get hasFlow() {
     return this.card.sampler.kind === "ode" && !this.hasBody;

@@ -1,11 +1,11 @@
 /**
- * The canvas of the map: cells, anchors, and on top the robot, velocity arrows and the brush.
+ * The canvas of the map: cells with metres along them, anchors, and on top the robot, velocity arrows and the brush.
  *
  * Cells and anchors are kept on layers of their own, which are drawn again only after a change.
  */
 
-import { Surface, anchorColour, circle, drawAnchors, stroke } from "../drawing.js";
-import { clamp } from "../dom.js";
+import { Surface, anchorColour, axisText, circle, drawAnchors, stride, stroke } from "../drawing.js";
+import { clamp, plain } from "../dom.js";
 import { placed, posesAlong } from "./body.js";
 import { OCCUPIED, UNKNOWN } from "./grid.js";
 import { placeAt } from "./people.js";
@@ -21,10 +21,17 @@ const DISC_CORNERS = 24;
 const CUSP_PX = 5;
 /** px of the dot on an anchor where the robot would be at the time of the time bar. */
 const DOT_PX = 2.5;
+/** px of a metre at most; the whole map is the least. */
+const MAX_SCALE = 1200;
+/** px between a label of an axis and the edge. */
+const AXIS_PX = 7;
 
 export class Stage extends Surface {
   /** px of an anchor. */
   lineWidth = 1.3;
+  /** How many times larger than the whole map, and the point in m in the middle; null: the map's. */
+  zoom = 1;
+  #middle = null;
   #groundIsOld = true;
   #linesAreOld = true;
 
@@ -45,26 +52,78 @@ export class Stage extends Surface {
     this.resize();
   }
 
-  /** CSS pixels a metre; the whole map fits. */
+  /** CSS pixels a metre; without zoom the whole map fits. */
   get scale() {
+    return this.zoom * this.#fitting;
+  }
+
+  get #fitting() {
     const [width, height] = this.scene.grid.size;
     return Math.min(this.width / width, this.height / height);
   }
 
+  /** [x, y] in m in the middle of the canvas. */
+  get middle() {
+    const { origin, size } = this.scene.grid;
+    return this.#middle ?? origin.map((at, axis) => at + size[axis] / 2);
+  }
+
   /** [left, top] in CSS pixels of a point in m. */
   toScreen(x, y) {
-    const { grid } = this.scene;
-    const [width, height] = grid.size;
-    const left = (this.width - width * this.scale) / 2;
-    const top = (this.height - height * this.scale) / 2;
-    return [left + (x - grid.origin[0]) * this.scale, top + (grid.origin[1] + height - y) * this.scale];
+    const [middleX, middleY] = this.middle;
+    return [this.width / 2 + (x - middleX) * this.scale, this.height / 2 - (y - middleY) * this.scale];
   }
 
   /** [x, y] in m of a point in CSS pixels. */
   toWorld(left, top) {
-    const { origin } = this.scene.grid;
-    const [x0, y0] = this.toScreen(...origin);
-    return [origin[0] + (left - x0) / this.scale, origin[1] + (y0 - top) / this.scale];
+    const [middleX, middleY] = this.middle;
+    return [middleX + (left - this.width / 2) / this.scale, middleY - (top - this.height / 2) / this.scale];
+  }
+
+  /** Whether a point in CSS pixels is on the canvas. */
+  contains(left, top) {
+    return left >= 0 && top >= 0 && left <= this.width && top <= this.height;
+  }
+
+  /** Show the map larger by a factor, with the point at [left, top] where it is; returns whether it changed. */
+  zoomBy(factor, left = this.width / 2, top = this.height / 2) {
+    const zoom = clamp(this.zoom * factor, 1, MAX_SCALE / this.#fitting);
+    if (zoom === this.zoom) return false;
+    const [x, y] = this.toWorld(left, top);
+    this.zoom = zoom;
+    this.#show(x - (left - this.width / 2) / this.scale, y + (top - this.height / 2) / this.scale);
+    return true;
+  }
+
+  /** Move the map by CSS pixels. */
+  panBy(right, down) {
+    const [x, y] = this.middle;
+    this.#show(x - right / this.scale, y + down / this.scale);
+  }
+
+  /** Move the map so far that a point in m is on the canvas. */
+  reveal(x, y) {
+    const [left, top] = this.toScreen(x, y);
+    if (!this.contains(left, top)) this.panBy(this.width / 2 - left, this.height / 2 - top);
+  }
+
+  /** Show the whole map again. */
+  showAll() {
+    this.zoom = 1;
+    this.#show();
+  }
+
+  /** The canvas stays within the map, as far as the map fills it. */
+  #show(...middle) {
+    const { origin, size } = this.scene.grid;
+    const half = [this.width, this.height].map((pixels) => pixels / this.scale / 2);
+    const within = (value, axis) => {
+      const [low, high] = [origin[axis] + half[axis], origin[axis] + size[axis] - half[axis]];
+      return low < high ? clamp(value, low, high) : (low + high) / 2;
+    };
+    this.#middle = middle.length && this.zoom > 1 ? middle.map(within) : null;
+    this.redraw();
+    this.onFit();
   }
 
   /** The tip of an end's velocity arrow in CSS pixels; a body's points along its heading, others at rest from start to goal. */
@@ -184,6 +243,8 @@ export class Stage extends Surface {
     context.fillStyle = colours.wall;
     context.fill(wall);
     context.restore();
+    context.setTransform(density, 0, 0, density, 0, 0);
+    this.#paintAxes(context);
   }
 
   /** Soft costs as a heat map, in tenths. */
@@ -199,18 +260,41 @@ export class Stage extends Surface {
     context.globalAlpha = 1;
   }
 
-  /** A dot at every whole metre, in cells. */
+  /** A dot where the metres of both axes meet, in cells. */
   #paintMetres(context) {
     const { grid } = this.scene;
-    const [width, height] = grid.size;
     const size = 2 / (this.scale * grid.resolution);
     context.fillStyle = this.colours.unknown;
-    for (let y = Math.ceil(grid.origin[1]); y < grid.origin[1] + height; y++) {
-      for (let x = Math.ceil(grid.origin[0]); x < grid.origin[0] + width; x++) {
+    for (const x of this.#ticks(0)) {
+      for (const y of this.#ticks(1)) {
         const [row, column] = grid.toCells(x, y);
         context.fillRect(column - size / 2, row - size / 2, size, size);
       }
     }
+  }
+
+  /** Round metres of an axis that are on the map and on the canvas. */
+  #ticks(axis) {
+    const { origin, size } = this.scene.grid;
+    const [low, high] = [this.toWorld(0, this.height)[axis], this.toWorld(this.width, 0)[axis]];
+    const step = stride(this.scale);
+    const first = Math.ceil(Math.max(low, origin[axis]) / step);
+    const last = Math.floor(Math.min(high, origin[axis] + size[axis]) / step);
+    return Array.from({ length: Math.max(0, last - first + 1) }, (_, k) => Number(((first + k) * step).toFixed(3)));
+  }
+
+  /** Metres along the lower and the left edge. */
+  #paintAxes(context) {
+    const { height, width } = this;
+    for (const x of this.#ticks(0)) {
+      const [left] = this.toScreen(x, 0);
+      if (left > 40 && left < width - 20) axisText(context, this, plain(x), [left, height - AXIS_PX], "center");
+    }
+    for (const y of this.#ticks(1)) {
+      const [, top] = this.toScreen(0, y);
+      if (top > 20 && top < height - 30) axisText(context, this, plain(y), [AXIS_PX, top + 4], "left");
+    }
+    axisText(context, this, "m", [AXIS_PX, height - AXIS_PX], "left");
   }
 
   /** The velocity arrow of the start or the goal, and the robot's outline there. */

@@ -1,6 +1,6 @@
 /** What the pointer and the keyboard do on the map: paint, erase and push what is there, put people, move ends and people. */
 
-import { byId, clamp, make, showFill } from "../dom.js";
+import { byId, clamp, isTyping, make, showFill } from "../dom.js";
 import { FREE, OCCUPIED } from "./grid.js";
 import { MAX_PACE, MAX_PEOPLE, RADIUS } from "./people.js";
 
@@ -14,8 +14,9 @@ const TURN_STEP = Math.PI / 36;
 const [MIN_BRUSH, MAX_BRUSH] = [0.1, 1.6];
 
 /**
- * Tools on the canvas; `onHover(left, top)` gets the place of an idle pointer, null if it leaves, and
- * `onPerson()` is called when a person was put on the map, the last of the scene's.
+ * Tools on the canvas; `onHover(left, top)` gets the place of an idle pointer, null if it leaves,
+ * `onPlace(at)` that of any pointer in m, and `onPerson()` is called when a person was put on the
+ * map, the last of the scene's. `zoom` gets the pointers that move the map.
  */
 export class Painting {
   tool = "paint";
@@ -28,8 +29,8 @@ export class Painting {
   #cursor = null;
   #stroke = null;
 
-  constructor(stage, scene, { onHover, onPerson }) {
-    Object.assign(this, { stage, scene, onHover, onPerson });
+  constructor(stage, scene, zoom, { onHover, onPlace, onPerson }) {
+    Object.assign(this, { stage, scene, zoom, onHover, onPlace, onPerson });
     const listeners = {
       pointerdown: (event) => this.#begin(event),
       pointermove: (event) => this.#move(event),
@@ -37,6 +38,7 @@ export class Painting {
       pointercancel: (event) => this.#end(event),
       pointerleave: () => this.#leave(),
       contextmenu: (event) => event.preventDefault(),
+      dblclick: () => { if (this.tool === "move") stage.showAll(); },
       keydown: (event) => this.#key(event),
       blur: () => this.#leave(),
     };
@@ -76,19 +78,25 @@ export class Painting {
 
   #begin(event) {
     if (event.button > 2) return;
-    if (this.#stroke) {
+    const { pointerId: pointer } = event;
+    this.stage.canvas.setPointerCapture(pointer);
+    this.#cursor = null;
+    if (this.zoom.begin(event, this.#place(event))) {
       // A second finger pinches, so the stroke of the first was not meant.
+      if (this.#stroke) this.scene.undo();
       this.#stroke = null;
-      this.scene.undo();
+      this.#showBrush(null);
       return;
     }
-    const { pointerId: pointer } = event;
     const at = this.#where(event);
     const { grid } = this.scene;
     if (this.tool === "move") {
       const from = grid.toCells(...at).map(Math.floor);
       const cells = grid.obstacleAt(...from);
-      if (!cells.length) return;
+      if (!cells.length) {
+        this.zoom.grab();
+        return;
+      }
       this.scene.remember();
       this.#stroke = { pointer, cells, before: grid.cells.slice(), from, moved: [0, 0] };
     } else if (this.tool === "person") {
@@ -99,12 +107,13 @@ export class Painting {
       this.#stroke = { pointer, last: at, value: this.#value(this.#erases(event)) };
       this.#paintTo(at);
     }
-    this.stage.canvas.setPointerCapture(pointer);
   }
 
   #move(event) {
+    if (this.zoom.move(event, this.#place(event))) return;
     if (this.#stroke && this.#stroke.pointer !== event.pointerId) return;
     const at = this.#where(event);
+    this.onPlace(at);
     if (!this.#stroke) {
       this.#showBrush(this.tool === "move" ? null : at, this.#erases(event));
       this.onHover(...this.#place(event));
@@ -121,6 +130,7 @@ export class Painting {
   }
 
   #end(event) {
+    this.zoom.end(event);
     if (this.#stroke?.pointer !== event.pointerId) return;
     if (this.#stroke.person) this.onPerson();
     this.#stroke = null;
@@ -130,6 +140,7 @@ export class Painting {
     this.#cursor = null;
     this.#showBrush(null);
     this.onHover(null);
+    this.onPlace(null);
   }
 
   #paintTo(at) {
@@ -170,11 +181,13 @@ export class Painting {
       const [x, y] = this.#cursor ?? [start.x, start.y];
       const [dx, dy] = steps(event, grid.resolution);
       this.#cursor = grid.inside(x + dx, y + dy);
+      this.stage.reveal(...this.#cursor);
+      this.onPlace(this.#cursor);
       this.#showBrush(this.#cursor, this.tool === "erase");
       this.onHover(...this.stage.toScreen(...this.#cursor));
-    } else if (event.key === " " || event.key === "Enter") {
+    } else if (this.#cursor && (event.key === " " || event.key === "Enter")) {
       event.preventDefault();
-      if (!this.#cursor || this.tool === "move") return;
+      if (this.tool === "move") return;
       if (this.tool === "person") {
         if (this.#put(this.#cursor)) this.onPerson();
         return;
@@ -186,8 +199,7 @@ export class Painting {
   }
 
   #shortcut(event) {
-    const isTyping = event.target.matches("input:not([type=range]):not([type=checkbox]):not([type=radio]), select, textarea");
-    if (isTyping || event.altKey || !this.stage.width) return;
+    if (isTyping(event) || event.altKey || !this.stage.width) return;
     if (event.ctrlKey || event.metaKey) {
       if (event.key === "z") this.scene.undo();
     } else if (event.key in TOOL_KEYS) {
@@ -274,6 +286,8 @@ export class Handles {
     for (const { button, name, end, isTip, person } of [...this.handles, ...this.people]) {
       const { x, y, vx, vy } = end();
       const [left, top] = isTip ? stage.arrowTip(end()) : stage.toScreen(x, y);
+      // What is beyond the part of the map that is shown has no handle at its edge.
+      button.hidden = stage.zoom > 1 && !stage.contains(left, top) && button !== document.activeElement;
       button.style.transform = `translate(${clamp(left, 8, stage.width - 8)}px, ${clamp(top, 8, stage.height - 8)}px)`;
       const turns = isTip && this.#turns(person);
       const text = (isTip ? [vx, vy] : [x, y]).map((number) => number.toFixed(2)).join(", ");
@@ -284,6 +298,7 @@ export class Handles {
   }
 
   #drag(event, { button, end, isTip, person }) {
+    if (event.button === 1) return;
     button.focus({ focusVisible: false });
     button.setPointerCapture(event.pointerId);
     const board = byId("board");
@@ -299,7 +314,7 @@ export class Handles {
       if (!end()) done.abort(); // deleted meanwhile
       else if (isTip && this.#turns(person)) this.#point(end(), left, top);
       else if (isTip) this.#setVelocity(end(), this.stage.arrowVelocity(end(), left, top, this.#fastest(person)));
-      else this.#setPosition(end(), this.stage.toWorld(left, top));
+      else this.scene.put(end(), this.stage.toWorld(left, top));
     }, { signal });
     for (const type of ["pointerup", "pointercancel"]) button.addEventListener(type, () => done.abort(), { signal });
   }
@@ -312,12 +327,13 @@ export class Handles {
     const { x, y, vx, vy } = end();
     if (isTip && this.#turns(person)) {
       const heading = this.scene.headingOf(end()) - Math.sign(dx) * TURN_STEP * (event.shiftKey ? SHIFT_STEPS : 1);
-      this.#setHeading(end(), heading, clamp(Math.hypot(vx, vy) + dy, 0, this.#fastest(person)));
+      this.scene.turn(end(), heading, clamp(Math.hypot(vx, vy) + dy, 0, this.#fastest(person)));
     } else if (isTip) {
       const share = Math.min(1, this.#fastest(person) / (Math.hypot(vx + dx, vy + dy) || 1));
       this.#setVelocity(end(), [(vx + dx) * share, (vy + dy) * share]);
     } else {
-      this.#setPosition(end(), [x + dx, y + dy]);
+      this.scene.put(end(), [x + dx, y + dy]);
+      this.stage.reveal(end().x, end().y);
     }
   }
 
@@ -337,21 +353,11 @@ export class Handles {
   /** Turn an end to a point in CSS pixels; far from it there is a speed too. */
   #point(end, left, top) {
     const [x, y] = this.stage.toWorld(left, top);
-    this.#setHeading(end, Math.atan2(y - end.y, x - end.x), Math.hypot(...this.stage.arrowVelocity(end, left, top)));
-  }
-
-  #setHeading(end, heading, speed) {
-    Object.assign(end, { heading, vx: speed * Math.cos(heading), vy: speed * Math.sin(heading) });
-    this.scene.changed("ends");
+    this.scene.turn(end, Math.atan2(y - end.y, x - end.x), Math.hypot(...this.stage.arrowVelocity(end, left, top)));
   }
 
   #fastest(person) {
     return person === undefined ? this.scene.limits.v_max : MAX_PACE;
-  }
-
-  #setPosition(end, point) {
-    [end.x, end.y] = this.scene.grid.inside(...point);
-    this.scene.changed("ends");
   }
 
   #setVelocity(end, velocity) {

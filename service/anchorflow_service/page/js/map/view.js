@@ -1,7 +1,7 @@
 /** The view of planners with a cost map: one draws a scene, and the anchors follow. */
 
 import { Anchors } from "../anchors.js";
-import { byId, clamp, make, press } from "../dom.js";
+import { byId, clamp, make, note, press } from "../dom.js";
 import { drawCharts, say } from "../figures.js";
 import { plan } from "../service.js";
 import { listenForCopies, listenForDrops, toCurl } from "../share.js";
@@ -9,6 +9,7 @@ import { AnchorView } from "../view.js";
 import { BodyControl } from "./body.js";
 import { readMap } from "./map_files.js";
 import { TimeBar } from "./people.js";
+import { EndFields, tellPlace } from "./places.js";
 import { Replay } from "./replay.js";
 import { Robot } from "./robot.js";
 import { sampleMap } from "./samples.js";
@@ -17,6 +18,7 @@ import { readScene, toJson, toPython } from "./scene_file.js";
 import { Stage } from "./stage.js";
 import { StyleControl } from "./style.js";
 import { Handles, Painting } from "./tools.js";
+import { Zoom } from "./zoom.js";
 
 /** The number of the sample that is shown first, by kind; the dice counts on from here. */
 const FIRST_SAMPLE = { forest: 5, rooms: 4, city: 5, maze: 2, empty: 0 };
@@ -35,8 +37,10 @@ export class MapView extends AnchorView {
     super(new Stage(byId("canvas"), scene), byId("legend"));
     Object.assign(this, { planner, form, bundles, scene });
     this.handles = new Handles(this.surface, scene);
-    this.painting = new Painting(this.surface, scene, {
+    this.ends = new EndFields(scene);
+    this.painting = new Painting(this.surface, scene, new Zoom(this.surface), {
       onHover: (left, top) => this.#hover(left, top),
+      onPlace: (at) => tellPlace(scene.grid, at),
       onPerson: () => this.handles.selectLast(),
     });
     this.timeBar = new TimeBar(this.surface, scene);
@@ -49,6 +53,7 @@ export class MapView extends AnchorView {
       onFrame: (note) => this.#showRobot(note),
     });
     this.surface.onFit = () => {
+      byId("zoom-all").disabled = this.surface.zoom === 1;
       this.handles.place();
       this.bubble.place();
     };
@@ -100,7 +105,7 @@ export class MapView extends AnchorView {
     byId("drive").disabled = !gives("velocities", "accelerations");
     for (const [by, array] of Object.entries(COLOURED)) document.querySelector(`[name=colour][value=${by}]`).disabled = !gives(array);
     if (this.scene.grid) this.scene.changed("options");
-    else this.scene.useMap(sampleMap("forest", FIRST_SAMPLE.forest));
+    else this.#useMap(sampleMap("forest", FIRST_SAMPLE.forest));
   }
 
   leave() {
@@ -125,6 +130,7 @@ export class MapView extends AnchorView {
     this.form.show(scene.options, card, scene.unused);
     this.style.show(scene.style);
     this.body.show(scene.body);
+    this.ends.show();
     byId("replay").disabled = !scene.hasFlow || this.robot.active;
     const { horizon_s: horizon } = card.conditioning.limits;
     byId("bundle-hint").textContent = `What answers: ${horizon === null ? "each anchor in its own time" : `${horizon} s`}, in ${card.time.steps} steps.`;
@@ -189,7 +195,12 @@ export class MapView extends AnchorView {
     this.#rest();
     this.#samples[kind] += further;
     byId("sample").value = kind;
-    this.scene.useMap(sampleMap(kind, this.#samples[kind]));
+    this.#useMap(sampleMap(kind, this.#samples[kind]));
+  }
+
+  #useMap(...parts) {
+    this.scene.useMap(...parts);
+    this.surface.showAll();
   }
 
   #toggleDrive() {
@@ -211,6 +222,7 @@ export class MapView extends AnchorView {
     byId("drive-note").hidden = false;
     if (byId("drive-note").textContent !== note) byId("drive-note").textContent = note;
     this.handles.place();
+    this.ends.show();
   }
 
   async #toggleReplay() {
@@ -245,11 +257,11 @@ export class MapView extends AnchorView {
       const json = files.find(({ name }) => /\.json$/i.test(name));
       if (json) this.#openScene(json.name, await json.text());
       else if (files.some(({ name }) => /\.(pgm|png|ya?ml)$/i.test(name))) {
-        const { grid, note } = await readMap(files);
-        this.#openMap(grid, {}, note);
+        const { grid, note: text } = await readMap(files);
+        this.#openMap(grid, {}, text);
       } else throw new Error(`${files[0].name}: expected .json, .yaml with its picture, .pgm or .png.`);
     } catch (error) {
-      byId("scene-note").textContent = error.message;
+      note(error.message);
     }
   }
 
@@ -263,19 +275,19 @@ export class MapView extends AnchorView {
     this.#openMap(grid, { ends, people }, `${name} is open.${left.length ? ` Left out: ${left.join(", ")}.` : ""}`);
   }
 
-  #openMap(grid, { ends, people }, note) {
+  #openMap(grid, { ends, people }, text) {
     this.#rest();
     byId("sample").value = "own";
-    this.scene.useMap(grid, ends, people);
+    this.#useMap(grid, ends, people);
     this.#showForm();
-    byId("scene-note").textContent = note;
+    note(text);
   }
 
   #save() {
     const url = URL.createObjectURL(new Blob([toJson(this.scene.request())], { type: "application/json" }));
     make("a", { href: url, download: "anchorflow-scene.json" }).click();
     URL.revokeObjectURL(url);
-    byId("scene-note").textContent = "Saved: the file is a request that POST /anchors takes.";
+    note("Saved: the file is a request that POST /anchors takes.");
   }
 }
 

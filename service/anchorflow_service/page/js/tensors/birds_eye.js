@@ -1,15 +1,12 @@
 /** The ego's frame from above (x forward is up, y is to the left), with the street of a recorded drive. */
 
-import { Surface, circle, drawAnchors, stroke, toScreen } from "../drawing.js";
+import { Surface, axisText, circle, drawAnchors, stride, stroke, toScreen } from "../drawing.js";
 import { plain } from "../dom.js";
 
 /** px between the edge of the picture and the farthest point. */
 const MARGIN_PX = 34;
 /** m that are always shown, also for a vehicle that stands still. */
 const MIN_M = 12;
-/** px between two lines of the grid, at least, and their distances in m. */
-const MIN_STRIDE_PX = 56;
-const STRIDES_M = [1, 2, 5, 10, 20, 50, 100, 200, 500];
 const GRID_OPACITY = 0.4;
 const RASTER_OPACITY = 0.55;
 const POSE_PX = 3.5;
@@ -88,26 +85,20 @@ export class BirdsEye extends Surface {
   /** Lines at round metres, with how far ahead or aside they are. */
   #paintGrid() {
     const { context, colours, height, width } = this;
-    const stride = STRIDES_M.find((metres) => metres * this.scale >= MIN_STRIDE_PX) ?? STRIDES_M.at(-1);
-    context.font = `11px ${getComputedStyle(this.canvas).fontFamily}`;
-    context.fillStyle = colours.soft;
+    const step = stride(this.scale);
     for (const [middle, size, isAside] of [[this.middle, height, false], [0, width, true]]) {
       const reach = size / 2 / this.scale;
-      for (let k = Math.ceil((middle - reach) / stride); k <= (middle + reach) / stride; k++) {
-        const [left, top] = this.toScreen(isAside ? 0 : k * stride, isAside ? k * stride : 0).map((at) => Math.round(at) + 0.5);
+      for (let k = Math.ceil((middle - reach) / step); k <= (middle + reach) / step; k++) {
+        const [left, top] = this.toScreen(isAside ? 0 : k * step, isAside ? k * step : 0).map((at) => Math.round(at) + 0.5);
         const line = isAside ? [[left, 0], [left, height]] : [[0, top], [width, top]];
         stroke(context, line, { colour: colours.unknown, width: 1, opacity: k ? GRID_OPACITY : 1 });
-        context.textAlign = isAside ? "center" : "left";
-        const text = plain(k * stride);
         // The names of the axes are in the corners.
-        if (isAside && left > 40 && left < width - 60) context.fillText(text, left, height - 8);
-        if (!isAside && top > 36 && top < height - 24) context.fillText(text, 8, top - 5);
+        if (isAside && left > 40 && left < width - 60) axisText(context, this, plain(k * step), [left, height - 8], "center");
+        if (!isAside && top > 36 && top < height - 24) axisText(context, this, plain(k * step), [8, top - 5], "left");
       }
     }
-    context.textAlign = "left";
-    context.fillText("x [m]", 8, 18);
-    context.textAlign = "right";
-    context.fillText("y [m]", width - 8, height - 8);
+    axisText(context, this, "x [m]", [8, 18], "left");
+    axisText(context, this, "y [m]", [width - 8, height - 8], "right");
   }
 
   /** The ego as an arrow head that points up. */
