@@ -94,7 +94,7 @@ def drive_file(
             {"name": spec.name, "dtype": spec.dtype, "shape": list(spec.shape[1:])}
             for spec in specs
         ],
-        "ego": _rounded(np.array([vehicle.rear_axle, 0.0, 0.0, *vehicle.size])),
+        "ego": rounded(np.array([vehicle.rear_axle, 0.0, 0.0, *vehicle.size])),
         "times_s": PLAN_TIMES.tolist(),
         "map": _map(log, windows, origin),
     }
@@ -132,7 +132,7 @@ def _map(log: DrivingLog, windows: Sequence[Window], origin: Array) -> dict[str,
     low, high = way.min(0) - SIGHT, way.max(0) + SIGHT
     return {
         name: [
-            _rounded(into_frame(line, origin).ravel())
+            rounded(into_frame(line, origin).ravel())
             for line in log.polylines(name)
             if (line.max(0) >= low).all() and (line.min(0) <= high).all()
         ]
@@ -145,11 +145,11 @@ def _frame(window: Window, specs: Sequence[TensorSpec], origin: Array) -> dict[s
     arrays = draw_inputs(view, specs)
     return {
         "time_s": round(window.frame * FRAME_S, 3),
-        "pose": _rounded(into_frame(view.state.pose, origin), digits=4),
+        "pose": rounded(into_frame(view.state.pose, origin), digits=4),
         "command": window.command_name,
-        "recorded": _rounded(window.recorded(PLAN_TIMES), digits=3),
+        "recorded": rounded(window.recorded(PLAN_TIMES), digits=3),
         "boxes": _boxes(window),
-        "inputs": {spec.name: _packed(arrays[spec.name], spec) for spec in specs},
+        "inputs": {spec.name: packed(arrays[spec.name], spec) for spec in specs},
     }
 
 
@@ -160,10 +160,10 @@ def _boxes(window: Window) -> list[list[float]]:
     seen = np.linalg.norm(poses[:, :2], axis=1) <= SIGHT  # NaN is not
     seen[view.ego] = False
     boxes = np.concatenate([poses, view.track_size, view.track_type[:, None].astype(float)], -1)
-    return _rounded(boxes[seen])
+    return rounded(boxes[seen])
 
 
-def _packed(array: NDArray[Any], spec: TensorSpec) -> Any:
+def packed(array: NDArray[Any], spec: TensorSpec) -> Any:
     """A few numbers as they are, more as their little-endian bytes, deflated."""
     values = np.ascontiguousarray(array, np.dtype(spec.dtype).newbyteorder("<"))
     if values.ndim <= 1 and values.size <= _FEW:
@@ -177,5 +177,6 @@ def _packed(array: NDArray[Any], spec: TensorSpec) -> Any:
     }
 
 
-def _rounded(values: Array, *, digits: int = 2) -> Any:
+def rounded(values: Array, *, digits: int = 2) -> Any:
+    """Return nested lists of numbers with so many decimals."""
     return np.round(values.astype(np.float64), digits).tolist()

@@ -223,6 +223,8 @@ class Visit:
         """Choose the camera planner; return when its first anchors are on the page."""
         self.wait_for_anchors()
         self.locate("#bundle").select_option("tiny-camera")
+        wait_for_text(self, "#summary", "No sample fits this planner")
+        self.locate("#plan").click()
         wait_for_text(self, "#summary", "6 anchors")
 
     @staticmethod

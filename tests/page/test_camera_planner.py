@@ -250,6 +250,8 @@ def test_a_new_version_of_the_chosen_bundle_is_taken_up(
     visit = open_page(served.url)
     visit.locate("#bundle").select_option(name)
     expect(visit.locate("#link-text")).to_contain_text(name, timeout=PATIENCE_MS)
+    if number:
+        visit.locate("#plan").click()
     expect(visit.locate("#summary")).to_contain_text("anchors", timeout=PATIENCE_MS)
     file.write_text(json.dumps({**manifest, "version": "9.9.9"}))
 
@@ -294,7 +296,6 @@ def test_texts_and_tensors_have_fields_too(patched: Callable[..., Any]) -> None:
     expect(visit.locate("#inputs .input")).to_have_count(4)
     visit.locate("#input-prompt").fill('Turn "left" at the café\n')
 
-    # The page also sends a request by itself when it opens.
     with_text = visit.answer(
         lambda: visit.locate("#plan").click(), lambda asked: asked.get("inputs", {}).get("prompt")
     )
@@ -315,6 +316,7 @@ def test_a_picture_of_known_extent_lies_under_the_anchors(patched: Callable[...,
         card["answer"]["extras"][1]["extent"] = [0, 10, -4, 4]
 
     visit = patched(place)
+    visit.locate("#plan").click()
     expect(visit.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
     expect(visit.locate("#raster-block")).to_be_hidden()
     with_picture = visit.locate("#birds-eye").screenshot()
@@ -365,6 +367,7 @@ def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any, artef
     visit.choose_camera()
 
     assert plan(visit).status == 200
+    expect(visit.locate("#summary")).to_contain_text("saw nothing in camera, ego_status.")
     assert visit.page.evaluate("document.documentElement.scrollWidth") == 390
     visit.page.screenshot(path=artefacts / "camera-phone.png", full_page=True)
     assert visit.errors == []

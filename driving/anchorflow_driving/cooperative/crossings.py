@@ -40,12 +40,14 @@ class Crossing:
     occluded: [F] whether a house hides the crossing car from the ego
     shown: [F] whether the roadside picture shows the crossing car
     conflict: whether the ego has to give way
+    junction: [3] pose of the junction's middle in the world; the ego drives along its x
     """
 
     frames: list[CooperativeFrame]
     occluded: NDArray[np.bool_]
     shown: NDArray[np.bool_]
     conflict: bool
+    junction: Array
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,7 @@ def draw_crossing(seed: int, *, size: tuple[int, int] = (384, 240), every: int =
         boxes = np.concatenate([placed, others[:, 3:]], 1)
         drive.append(CooperativeFrame(time, pose, vehicle, infrastructure, boxes))
     conflict = setting.crosses and _conflicts(setting)
-    return Crossing(drive, np.array(occluded), np.array(shown), conflict)
+    return Crossing(drive, np.array(occluded), np.array(shown), conflict, world)
 
 
 def roadside_camera(size: tuple[int, int]) -> PinholeCamera:

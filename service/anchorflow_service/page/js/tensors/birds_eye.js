@@ -10,6 +10,8 @@ const MIN_M = 12;
 const GRID_OPACITY = 0.4;
 const RASTER_OPACITY = 0.55;
 const POSE_PX = 3.5;
+/** Poses of an anchor that are marked, at most. */
+const MAX_MARKED = 9;
 const HEADING_PX = 11;
 /** Colours of boxes by the type in a driving log. */
 const BOX_COLOURS = ["wall", "goal", "goal", "soft"];
@@ -117,7 +119,9 @@ export class BirdsEye extends Surface {
     const hasHeading = anchors.trajectories.shape[2] > 2;
     const first = 2 * n * anchors.steps;
     const screen = toScreen(this, anchors.positions.subarray(first, first + 2 * anchors.steps));
+    const every = Math.ceil(anchors.steps / MAX_MARKED);
     for (let t = 0; t < anchors.steps; t++) {
+      if ((t + 1) % every && t !== show.step) continue;
       const [left, top] = [screen[2 * t], screen[2 * t + 1]];
       if (hasHeading) {
         const [, , heading] = anchors.pose(n, t);

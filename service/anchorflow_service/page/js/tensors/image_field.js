@@ -15,7 +15,9 @@ export class ImageField {
     const [, height, width] = axesOf(spec);
     /** Pixels; for an axis that the card leaves open its letter. */
     this.size = { width, height };
+    this.spec = spec;
     this.optional = Boolean(spec.optional);
+    this.isEmpty = true;
     this.isBlackAtFirst = !this.optional && [width, height].every(Number.isInteger);
     const what = [width, height].some(Number.isInteger) ? `, ${width} × ${height} pixels` : " of any size";
     const first = this.optional ? "left out" : this.isBlackAtFirst ? "black" : "nothing is asked";
@@ -54,6 +56,7 @@ export class ImageField {
   #clear() {
     this.#reads++;
     this.original = null;
+    this.isEmpty = true;
     this.note.textContent = "";
     this.picture.hidden = !this.isBlackAtFirst;
     this.leaveOut.hidden = true;
@@ -71,7 +74,7 @@ export class ImageField {
   #draw(picture) {
     const [width, height] = ["width", "height"].map((side) => (Number.isInteger(this.size[side]) ? this.size[side] : picture[side]));
     const context = this.#blacken({ width, height });
-    this.picture.hidden = false;
+    this.picture.hidden = this.isEmpty = false;
     this.leaveOut.hidden = !this.optional;
     context.imageSmoothingQuality = "high";
     context.drawImage(picture, 0, 0, width, height);

@@ -11,7 +11,7 @@ const MAX_IN_A_LINE = 64;
 const SHOWN_BASE64 = 24;
 
 /**
- * Fields have `spec`, `control`, `hint`, fill(value), and value() as the contract's JSON has it:
+ * Fields have `spec`, `control`, `hint`, `isEmpty` (neither the user nor a drive has set it), fill(value), and value() as the contract's JSON has it:
  * undefined if it is left out; it throws an Error if there is no value yet.
  */
 class TextField {
@@ -26,6 +26,10 @@ class TextField {
 
   fill(value) {
     this.control.value = value;
+  }
+
+  get isEmpty() {
+    return !this.control.value;
   }
 
   value() {
@@ -43,7 +47,12 @@ class NumbersField {
     this.hint = this.count === 1 ? "A number" : `${this.count} numbers`;
     this.control = make("input", { id, type: "text", autocomplete: "off", spellcheck: false });
     this.control.addEventListener("input", onChange);
-    if (!spec.optional) this.fill(Array(this.count).fill(neutral(spec)));
+    this.first = spec.optional ? "" : Array(this.count).fill(neutral(spec)).join(", ");
+    this.control.value = this.first;
+  }
+
+  get isEmpty() {
+    return this.control.value === this.first;
   }
 
   fill(value) {
@@ -82,6 +91,10 @@ class TensorField {
     this.held = value;
     this.control.value = "";
     this.control.placeholder = JSON.stringify({ ...value, base64: `${value.base64.slice(0, SHOWN_BASE64)}…` });
+  }
+
+  get isEmpty() {
+    return !this.held && !this.control.value.trim();
   }
 
   value() {
@@ -126,6 +139,11 @@ export class Inputs {
       }
     }
     return { values, wrong };
+  }
+
+  /** Names of required inputs that nobody has set. */
+  get empty() {
+    return [...this.#fields].filter(([, { field }]) => field.isEmpty && !field.spec.optional).map(([name]) => name);
   }
 
   /** Fill in {name: value} as the contract's JSON has them, without a call of `onChange`. */

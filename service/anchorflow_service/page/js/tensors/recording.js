@@ -6,6 +6,8 @@ import { Street } from "./birds_eye.js";
 import { DriveFile, InputMismatch } from "./drive_file.js";
 import { axesOf, drawPicture, isPlaces, toPicture, unpack } from "./tensor.js";
 
+/** Drives that this project has simulated; a planner opens with the first that has its inputs. */
+const SAMPLES = ["street", "crossing"];
 /** s that a frame is shown at most, for drives with gaps. */
 const LONGEST_S = 1;
 const KEYS = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 };
@@ -18,6 +20,8 @@ export class Recording {
   index = 0;
   /** {drive, street, index, values} of the frame in the input fields; null if they are not of a drive. */
   held = null;
+  /** Whether the drive is a sample. */
+  #isSample = false;
   #card = null;
   #street = null;
   #playing = false;
@@ -34,7 +38,10 @@ export class Recording {
       this.#read(byId("drive-file").files[0]);
       byId("drive-file").value = "";
     });
-    byId("close-drive").addEventListener("click", () => this.#close());
+    byId("close-drive").addEventListener("click", () => {
+      this.#close();
+      this.ask();
+    });
     byId("drive-play").addEventListener("click", () => this.#play(!this.#playing));
     this.slider.addEventListener("input", () => {
       this.#play(false);
@@ -44,19 +51,36 @@ export class Recording {
     listenForDrops(byId("look").querySelector(".board"), () => view.active, ([file]) => this.#read(file));
   }
 
-  /** Another bundle is asked: the drive stays open if it has the inputs of this one. */
-  useCard(card) {
+  /** Another bundle is asked: the drive stays open if it has the inputs of this one; otherwise a sample is. */
+  async useCard(card) {
     this.#card = card;
     this.held = null;
     this.#report(null);
-    if (!this.drive) return;
     try {
-      this.drive.checkFits(card);
-      this.#go(this.index);
+      this.drive?.checkFits(card);
     } catch (error) {
+      if (!this.#isSample) this.#report(error);
       this.#close();
-      this.#report(error);
     }
+    if (this.drive) this.#go(this.index);
+    else await this.#openSample(card);
+  }
+
+  async #openSample(card) {
+    for (const name of SAMPLES) {
+      const response = await fetch(`page/samples/${name}.json`).catch(() => null);
+      const text = response?.ok ? await response.text() : "";
+      if (card !== this.#card || this.drive) return; // chosen meanwhile
+      try {
+        const drive = new DriveFile(text, name);
+        drive.checkFits(card);
+        this.#open(drive, true);
+        return;
+      } catch {
+        // The next one may fit.
+      }
+    }
+    this.view.hasNoSample();
   }
 
   /** The response to a question about the frame `held` is drawn next. */
@@ -93,16 +117,21 @@ export class Recording {
       const drive = new DriveFile(await file.text(), file.name);
       this.#report(null);
       drive.checkFits(this.#card);
-      this.#play(false);
-      this.drive = drive;
-      this.#street = new Street(drive);
-      this.view.surface.show.anchors = null;
-      this.slider.max = drive.frames.length - 1;
-      this.#showBar();
-      this.#go(0);
+      this.#open(drive, false);
     } catch (error) {
       this.#report(error);
     }
+  }
+
+  #open(drive, isSample) {
+    this.#play(false);
+    this.drive = drive;
+    this.#isSample = isSample;
+    this.#street = new Street(drive);
+    this.view.surface.show.anchors = null;
+    this.slider.max = drive.frames.length - 1;
+    this.#showBar();
+    this.#go(0);
   }
 
   #close() {
@@ -114,12 +143,12 @@ export class Recording {
     byId("sensed").replaceChildren();
     byId("sensed").hidden = true;
     this.view.surface.draw();
-    this.ask();
   }
 
   #showBar() {
     const isOpen = this.drive !== null;
     byId("drive-bar").hidden = byId("close-drive").hidden = !isOpen;
+    byId("drive-sample").hidden = !isOpen || !this.#isSample;
     byId("look").toggleAttribute("data-drive", isOpen);
   }
 
@@ -141,6 +170,7 @@ export class Recording {
       this.held = { drive, street: this.#street, index, values };
     } catch (error) {
       this.#close();
+      this.ask();
       this.#report(error);
       return;
     }
@@ -190,7 +220,7 @@ export class Recording {
 }
 
 /** Whether an input has axes of a picture, with channels or without. */
-const isPicture = (spec) => !isPlaces(spec) && [2, 3].includes(axesOf(spec).length) && axesOf(spec).slice(-2).every((size) => size > 1);
+const isPicture = (spec) => !isPlaces(spec) && [2, 3].includes(axesOf(spec).length) && !axesOf(spec).slice(-2).includes(1);
 
 /** Show the inputs of a frame that are pictures; `palette` colours the layers of those with many channels. */
 function showSensed(specs, values, palette) {
@@ -201,7 +231,10 @@ function showSensed(specs, values, palette) {
     const canvas = drawPicture(make("canvas"), toPicture({ range }, { shape: [1, ...shape].slice(-3), values: numbers }, palette, true));
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", `${spec.name} of the drive`);
-    return make("figure", {}, canvas, make("figcaption", {}, spec.name));
+    const figure = make("figure", {}, canvas, make("figcaption", {}, spec.name));
+    // Side by side they are of one height.
+    figure.style.flexGrow = canvas.width / canvas.height;
+    return figure;
   });
   const isWide = figures.some(({ firstChild: { width, height } }) => width > WIDE * height);
   byId("sensed").toggleAttribute("data-wide", isWide);

@@ -60,11 +60,15 @@ export class TensorView extends AnchorView {
     byId("bundle-hint").textContent = `What answers: ${steps} poses ${duration}${candidates > 1 ? `, the best of ${candidates}` : ""}.`;
     this.form.show(this.options, card);
     this.recording.useCard(card);
-    if (!this.recording.drive) this.planner.ask();
   }
 
   leave() {
     this.active = false;
+  }
+
+  /** Nothing is asked of a planner that would see nothing. */
+  hasNoSample() {
+    say("No sample fits this planner: fill in what it sees and press Plan.");
   }
 
   /** Take options of the form. */
@@ -85,7 +89,7 @@ export class TensorView extends AnchorView {
     }
     const outputs = [...byId("outputs").querySelectorAll("input:checked")].map((box) => box.value);
     const body = { inputs, ...this.form.fields.toRequest(options, card), model: card.name, ...(outputs.length && { outputs }) };
-    return { body, card, version, held: this.recording.held, send: (asked) => ask("anchors", asked) };
+    return { body, card, version, empty: this.inputs.empty, held: this.recording.held, send: (asked) => ask("anchors", asked) };
   }
 
   async answered({ question, answer, sentAt }) {
@@ -96,7 +100,7 @@ export class TensorView extends AnchorView {
     this.#showExtras(extras, raster);
     this.recording.answered(question);
     const stale = question.version !== this.version;
-    const isCurrent = await this.present(anchors, { card: question.card, sentAt, stale, raster });
+    const isCurrent = await this.present(anchors, { card: question.card, sentAt, stale, raster, empty: question.empty });
     if (isCurrent) this.recording.shown(question.held);
   }
 
@@ -122,7 +126,9 @@ export class TensorView extends AnchorView {
   }
 
   summarize({ count, scores }) {
-    say(count === 1 ? "1 anchor, in gold." : `${count} anchors, the ${scores ? "best by score" : "first"} in gold.`);
+    const { empty } = this.surface.show;
+    const blind = empty.length ? ` The planner saw nothing in ${empty.join(", ")}.` : "";
+    say(`${count === 1 ? "1 anchor, in gold" : `${count} anchors, the ${scores ? "best by score" : "first"} in gold`}.${blind}`);
   }
 
   /** The poses of anchor n by time; `step` is the one under the pointer. */
