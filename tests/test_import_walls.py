@@ -71,6 +71,7 @@ WALLS: dict[str, set[str]] = {
         "torch",
         "h5py",  # trajectory files
         "transformers",  # pretrained weights, imported where they are read
+        "safetensors",  # their files
         "pydantic",  # settings
         "yaml",  # configurations
         "lightning_fabric",

@@ -17,6 +17,7 @@ COMMANDS = {
     "sensors": LazyCommand("data_driving:sensors", "Draw the camera and LiDAR of every window."),
     "crossings": LazyCommand("data_pairs:crossings", "Draw crossings that a house hides."),
     "verify": LazyCommand("data_pairs:verify", "Say what a cooperative recording lacks."),
+    "descriptions": LazyCommand("data_pairs:descriptions", "Describe pictures by a Florence-2."),
     "pairs": LazyCommand("data_pairs:pairs", "Make pairs of pictures, prompts and waypoints."),
 }
 

@@ -1,4 +1,4 @@
-"""`anchorflow data crossings`, `verify` and `pairs`: recordings of two cameras for V2X-VLM."""
+"""`anchorflow data crossings`, `verify`, `descriptions`, `pairs`: data of V2X-VLM."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
-from anchorflow_cli.options import new_folder
+from anchorflow_cli.options import new_file, new_folder
 from anchorflow_training.v2x.dataset import make_pairs
 from anchorflow_training.v2x.recording import verify_recording
 from anchorflow_training.v2x.text import read_tokenizer
@@ -46,6 +46,27 @@ def verify(recording: RecordingArgument) -> None:
         raise typer.Exit(1)
 
 
+def descriptions(
+    recording: RecordingArgument,
+    out: Annotated[
+        Path,
+        typer.Argument(parser=new_file, help="File for `data pairs`; an existing one is resumed."),
+    ],
+    *,
+    florence: Annotated[Path, typer.Option(help="Folder of a published Florence-2.")],
+    image_size: Annotated[
+        int, typer.Option(min=32, help="Pixels along a side; Florence-2's own are 768.")
+    ] = 768,
+) -> None:
+    """Describe the car's pictures in up to 256 tokens each."""
+    from anchorflow_training.v2x.captions import Captioner, describe_recording
+
+    captioner = Captioner(florence, image_size=image_size)
+    with counted("pictures") as progress:
+        count = describe_recording(recording, out, captioner, progress=progress)
+    typer.echo(f"{out}: {count} pictures")
+
+
 def pairs(
     recording: RecordingArgument,
     out: Annotated[
@@ -62,6 +83,10 @@ def pairs(
     describe: Annotated[
         bool, typer.Option("--describe", help="Tell of the boxes around in the prompts.")
     ] = False,
+    descriptions: Annotated[
+        Path | None,
+        typer.Option(help="File of `data descriptions`, for the prompts.", show_default="none"),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of which sequences are held out.")] = 0,
 ) -> None:
     """Make pairs of pictures, prompts and waypoints of a cooperative recording."""
@@ -72,6 +97,7 @@ def pairs(
             image_size=image_size,
             tokenizer=None if tokenizer is None else read_tokenizer(tokenizer),
             describe=describe,
+            descriptions=descriptions,
             seed=seed,
             progress=progress,
         )

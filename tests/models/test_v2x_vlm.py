@@ -56,6 +56,21 @@ def test_an_absent_picture_is_not_looked_at(model: V2XVLM, features: Tensor) -> 
 
 
 @torch.no_grad()
+def test_pooled_columns_put_both_pictures_on_the_cells_of_one(features: Tensor) -> None:
+    with small_sizes():
+        model = small_v2x(pooled_columns=2)
+    tokens, there = torch.randint(4, 200, (2, 9)), torch.tensor([True, False])
+    vehicle, infrastructure = features.chunk(2)
+    fused = model.fuse(vehicle, infrastructure, there, tokens)
+    assert fused.hidden.shape[1] == model.config.cells**2 + 1 + 9
+    # A column counts by its mean with its neighbour, never with the other picture's.
+    swapped = model.fuse(vehicle.flip(-1), infrastructure, there, tokens).hidden
+    torch.testing.assert_close(swapped, fused.hidden, atol=1e-5, rtol=0)
+    moved = model.fuse(vehicle.flip(-2), infrastructure, there, tokens).hidden
+    assert (moved - fused.hidden).abs().max() > 1e-4
+
+
+@torch.no_grad()
 def test_padding_and_the_other_scene_change_nothing(model: V2XVLM, features: Tensor) -> None:
     tokens = torch.randint(4, 200, (2, 9))
     there = torch.tensor([True, False])

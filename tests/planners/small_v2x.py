@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 from unittest.mock import patch
 
 import torch
@@ -25,13 +26,13 @@ def small_sizes() -> Iterator[None]:
         yield
 
 
-def small_v2x() -> V2XVLM:
+def small_v2x(**changed: Any) -> V2XVLM:
     """A network that gives waypoints of some metres, each time the same."""
     tokenizer = train_tokenizer(PROMPTS)
     vocabulary = opened(tokenizer).get_vocab_size()
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
-        config = V2XConfig(image_size=IMAGE_SIZE, vocabulary=vocabulary, max_tokens=64)
+        config = V2XConfig(image_size=IMAGE_SIZE, vocabulary=vocabulary, max_tokens=64, **changed)
         model = create_v2x_vlm(config)
         torch.nn.init.normal_(model.absent)
     model.tokenizer = tokenizer

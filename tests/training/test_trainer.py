@@ -158,3 +158,5 @@ def test_the_rate_climbs_then_falls_as_a_cosine() -> None:
         [rates[4], rates[54], rates[104]], [1.0, (1 + FINAL_RATE) / 2, FINAL_RATE]
     )
     assert (np.diff(rates[4:]) < 0).all()
+    constant = [rate_share(step, warmup=4, steps=104, schedule="constant") for step in range(105)]
+    assert constant == [*rates[:4], *[1.0] * 101]

@@ -63,7 +63,7 @@ class EvaluationConfig(AnchorJudgeConfig):
 
 @dataclass(frozen=True)
 class RunConfig:
-    """How long, how fast and on what; the rate climbs over `warmup`, then falls as a cosine.
+    """How long, how fast and on what; the rate climbs over `warmup`, then follows `rate_schedule`.
 
     planner: its name in the registry of planners, which a subclass says
     begins_with: settings of what a run begins with, which no run `before` leaves a use for
@@ -76,6 +76,9 @@ class RunConfig:
     steps: int = setting(12_000, "Optimiser steps in all.", ge=1)
     learning_rate: float = setting(1e-3, "Peak learning rate.", gt=0)
     warmup: int = setting(500, "Steps over which the rate climbs.", ge=0)
+    rate_schedule: Literal["cosine", "constant"] = setting(
+        "cosine", "Of the rate after warm-up: falling, or constant."
+    )
     weight_decay: float = setting(0.01, "Of AdamW.", ge=0)
     gradient_clip: float = setting(1.0, "Largest norm of the gradient.", gt=0)
     accumulate: int = setting(1, "Batches an optimiser step.", ge=1)

@@ -1,8 +1,7 @@
-"""Published weights to begin with: a ResNet, another planner's perception, or Florence-2."""
+"""Weights that seeing begins with: a published ResNet, or another planner's perception."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,6 @@ from torch import nn
 from torch.nn import functional as F
 
 from anchorflow_models.transfuser import FarSight, GroundSight, SweepMotion, TransfuserBackbone
-from anchorflow_models.v2x_vlm import V2XVLM
-from anchorflow_models.v2x_vlm.config import florence_config
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.settings import ConfigError
 
@@ -81,42 +78,3 @@ def _weights(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: cannot be read as a ResNet ({error})") from error
     return network.state_dict()
-
-
-TEXT_FIELDS = (
-    "vocab_size",
-    "d_model",
-    "encoder_layers",
-    "decoder_layers",
-    "encoder_attention_heads",
-    "max_position_embeddings",
-)
-VISION_FIELDS = ("depths", "embed_dim", "num_heads", "window_size", "projection_dim")
-
-
-def load_pretrained(model: V2XVLM, folder: Path) -> None:
-    """Give a network the weights of a folder that `save_pretrained` wrote.
-
-    Raises:
-        ConfigError: the folder cannot be read, or is of another shape than the network.
-    """
-    from transformers import Florence2ForConditionalGeneration
-
-    try:
-        found = json.loads((folder / "config.json").read_text())
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"pretrained: {folder / 'config.json'}: {error}") from error
-    wanted = florence_config(model.config).to_dict()
-    for part, fields in (("text_config", TEXT_FIELDS), ("vision_config", VISION_FIELDS)):
-        for name in fields:
-            own, given = wanted[part][name], found.get(part, {}).get(name)
-            if given is not None and given != (list(own) if isinstance(own, tuple) else own):
-                raise ConfigError(
-                    f"pretrained: {folder / 'config.json'}: {part}.{name}: expected {own}, as the "
-                    f"model's configuration has it, found {given}"
-                )
-    try:
-        other = Florence2ForConditionalGeneration.from_pretrained(folder, local_files_only=True)
-        model.florence.load_state_dict(other.state_dict())
-    except (OSError, RuntimeError, ValueError) as error:
-        raise ConfigError(f"pretrained: {folder}: {error}") from error

@@ -1,4 +1,4 @@
-"""The training loop: AdamW, warm-up and cosine, EMA, checkpoints, resume, evaluations.
+"""The training loop: AdamW, warm-up and its schedule, EMA, checkpoints, resume, evaluations.
 
 A subclass says what one planner learns: its objective, its batches and its evaluation.
 `anchorflow_training.planners` lists the subclass of each planner.
@@ -44,10 +44,12 @@ MAX_RATE = 1e37
 FINAL_RATE = 0.01  # share of the peak learning rate at which the cosine ends
 
 
-def rate_share(step: int, *, warmup: int, steps: int) -> float:
-    """Return the learning rate at a step as a share of its peak: linear warm-up, then a cosine."""
+def rate_share(step: int, *, warmup: int, steps: int, schedule: str = "cosine") -> float:
+    """Return the learning rate at a step as a share of its peak: linear warm-up, then the rest."""
     if step < warmup:
         return (step + 1) / warmup
+    if schedule == "constant":
+        return 1.0
     done = (step - warmup) / max(1, steps - warmup)
     return FINAL_RATE + (1 - FINAL_RATE) * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
 
@@ -225,7 +227,7 @@ class TrainingRun(ABC):
         """One optimiser step on `accumulate` batches; returns the loss, its terms and the norm."""
         config = self.run_config
         rate = config.learning_rate * rate_share(
-            self.step, warmup=config.warmup, steps=config.steps
+            self.step, warmup=config.warmup, steps=config.steps, schedule=config.rate_schedule
         )
         for settings in self._optimiser.param_groups:
             settings["lr"] = rate

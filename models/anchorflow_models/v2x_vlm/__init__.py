@@ -1,9 +1,7 @@
 """V2X-VLM: two cameras, a sentence and 45 waypoints [1].
 
-config      what fixes the network: a size of Florence-2, its pictures, its prompt
-florence    the native Florence-2 classes [2] of a configuration
-network     pictures and tokens to hidden states, and hidden states to waypoints
-losses      regression, alignment, distillation
+config      what fixes the network: a size of Florence-2 [2], its pictures, its prompt
+network     pictures and tokens to hidden states, those to waypoints, and the losses
 
 [1] You et al., V2X-VLM: End-to-End V2X Cooperative Autonomous Driving Through Large Vision-Language
     Models, 2024.

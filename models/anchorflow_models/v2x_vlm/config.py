@@ -21,6 +21,7 @@ LEAST = {
     "waypoints": 1,
     "head": 1,
     "projection": 1,
+    "pooled_columns": 1,
 }
 
 
@@ -77,6 +78,8 @@ class V2XConfig:
     vocabulary: tokens that the tokenizer knows
     max_tokens: of a prompt
     positions: of the language model, for two pictures' cells, one and the prompt
+    pooled_columns: cells of a row whose mean enters the language model; with 2, both pictures
+        take the grid of one, which is what the published weights know
     waypoints, dt: of the answer, dt [s] apart, the first at dt
     head: width of the trajectory head; dropout: in it
     projection: width of the space in which pictures and prompts are aligned
@@ -95,6 +98,7 @@ class V2XConfig:
     head: int = 256
     dropout: float = 0.1
     projection: int = 128
+    pooled_columns: int = 1
 
     def __post_init__(self) -> None:
         check("variant", self.variant in [*SIZES], f"one of {', '.join(SIZES)}", repr(self.variant))
@@ -106,7 +110,9 @@ class V2XConfig:
         cells = isinstance(size, int) and size % STRIDE == 0 and 1 <= self.cells <= MOST_CELLS
         sizes = f"a multiple of {STRIDE} from {STRIDE} to {MOST_CELLS * STRIDE}"
         check("image_size", cells, sizes, size)
-        needed = 2 * self.cells**2 + 1 + self.max_tokens
+        pooled = self.cells % self.pooled_columns == 0
+        check("pooled_columns", pooled, f"a divisor of {self.cells} cells", self.pooled_columns)
+        needed = 2 * self.cells**2 // self.pooled_columns + 1 + self.max_tokens
         room = f"at least {needed}, for two pictures of {size} pixels and {self.max_tokens} tokens"
         check("positions", self.positions >= needed, room, self.positions)
         check("dt", isinstance(dt, int | float) and 0 < dt < float("inf"), "a number above 0", dt)
@@ -115,7 +121,7 @@ class V2XConfig:
 
     @property
     def cells(self) -> int:
-        """Along a side of one picture's features."""
+        """Along a side of one picture's features, before columns are pooled."""
         return self.image_size // STRIDE
 
     @property

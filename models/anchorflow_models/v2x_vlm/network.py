@@ -5,9 +5,10 @@
     drive    hidden states                        -> waypoints [B,T,2], m, ahead and to the left
     locate   two pictures' features               -> where the nearest other is; in training alone
 
-The two pictures lie side by side, [I_v, I_i], as one feature map of h rows and 2h columns before
-positions are given to its cells. The tower encodes each by itself, so the roadside picture's
-features can be kept; a learned cell fills its half if it is missing.
+The two pictures lie side by side, [I_v, I_i], as one feature map of h rows and 2h columns, of
+which `pooled_columns` are averaged into one, before positions are given to its cells. The tower
+encodes each by itself, so the roadside picture's features can be kept; a learned cell fills its
+half if it is missing.
 """
 
 from __future__ import annotations
@@ -103,6 +104,8 @@ class V2XVLM(nn.Module):
         """
         model = self.florence.model
         beside = self._beside(vehicle, infrastructure, has_infrastructure)
+        if self.config.pooled_columns > 1:
+            beside = F.avg_pool2d(beside, (1, self.config.pooled_columns))
         cells = model.multi_modal_projector(beside)
         words = model.language_model.encoder.embed_tokens(tokens)
         both = torch.cat([cells, words], 1)

@@ -44,7 +44,9 @@ from anchorflow_training.v2x.text import (
     FILE_NAME,
     UNTOLD,
     opened,
+    picture_name,
     prompt,
+    read_descriptions,
     seen_scene,
     train_tokenizer,
 )
@@ -130,6 +132,7 @@ def make_pairs(
     image_size: int,
     tokenizer: bytes | None = None,
     describe: bool = False,
+    descriptions: Path | None = None,
     seed: int = 0,
     progress: Callable[[int, int], object] = lambda *_: None,
 ) -> PairDataset:
@@ -138,6 +141,7 @@ def make_pairs(
     image_size: S; the published 768 takes 3.5 MB a pair
     tokenizer: its JSON; None: a small one is trained on the prompts
     describe: whether prompts describe the boxes around, as a perception would
+    descriptions: file of what the car's pictures show, by `anchorflow data descriptions`
     seed: of which sequences are held out
 
     Raises:
@@ -147,21 +151,21 @@ def make_pairs(
     if out.exists() and any(out.iterdir()):
         raise DatasetError(f"{out}: expected a new or an empty folder, found files")
     sequences = read_recording(recording)
+    scene_of = _scenes(recording, describe=describe, descriptions=descriptions)
     asked = [(number, frame) for number, each in enumerate(sequences) for frame in each.askable()]
     present = [sequences[number].name for number in sorted({number for number, _ in asked})]
     if len({_group(name) for name in present}) < 2:
         what = f"pairs with {FUTURE} frames after them in two sequences or more, of different logs"
         raise DatasetError(f"{recording}: expected {what}, found {len(asked)} in fewer")
+    prompts = [_prompt(sequences[number], frame, scene_of) for number, frame in asked]
     shape = (len(asked), 3, image_size, image_size)
     with _writing(out):
         out.mkdir(parents=True, exist_ok=True)
         pictures = {side: _picture_array(out / f"{side}.npy", shape) for side in SIDES}
-    prompts = []
     for index, (number, frame) in enumerate(asked):
         pair = sequences[number].pairs[frame]
         for side, array in pictures.items():
             array[index] = resized(read_picture(getattr(pair, side)), image_size)
-        prompts.append(_prompt(sequences[number], frame, describe=describe))
         progress(index + 1, len(asked))
     driven = _driven(sequences, asked)
     words = tokenizer or train_tokenizer([*prompts, UNTOLD])
@@ -252,12 +256,29 @@ def _group(name: str) -> str:
     return name.partition(GROUP)[0]
 
 
-def _prompt(sequence: Sequence, frame: int, *, describe: bool) -> str:
-    scene = ""
-    if describe:
-        pose = sequence.poses[frame]
-        scene = seen_scene(without_own(read_boxes(sequence.pairs[frame].label), pose), pose)
-    return prompt(speed=sequence.speed(frame), turn_rate=sequence.turn_rate(frame), scene=scene)
+def _prompt(sequence: Sequence, frame: int, scene_of: Callable[[Sequence, int], str]) -> str:
+    speed, turn_rate = sequence.speed(frame), sequence.turn_rate(frame)
+    return prompt(speed=speed, turn_rate=turn_rate, scene=scene_of(sequence, frame))
+
+
+def _scenes(
+    recording: Path, *, describe: bool, descriptions: Path | None
+) -> Callable[[Sequence, int], str]:
+    """What a prompt says of the scene of a frame: a picture's description, the boxes, or ''."""
+    texts = {} if descriptions is None else read_descriptions(descriptions)
+
+    def scene(sequence: Sequence, frame: int) -> str:
+        pair, pose, parts = sequence.pairs[frame], sequence.poses[frame], []
+        if descriptions is not None:
+            name = picture_name(recording, pair.vehicle_image)
+            if name not in texts:
+                raise DatasetError(f"{descriptions}: expected a description of {name}, found none")
+            parts.append(texts[name])
+        if describe:
+            parts.append(seen_scene(without_own(read_boxes(pair.label), pose), pose))
+        return " ".join(parts)
+
+    return scene
 
 
 def _driven(sequences: list[Sequence], asked: list[tuple[int, int]]) -> dict[str, Any]:

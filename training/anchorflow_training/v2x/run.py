@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
@@ -32,12 +32,12 @@ from anchorflow_training.checkpoint import (
     restore_model,
 )
 from anchorflow_training.config import JudgeConfig, RunConfig
-from anchorflow_training.pretrained import load_pretrained
 from anchorflow_training.record import Row
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import ConfigError, check_fixed, other_default, setting
 from anchorflow_training.v2x.dataset import PairDataset
 from anchorflow_training.v2x.evaluation import judge
+from anchorflow_training.v2x.florence import load_pretrained
 from anchorflow_training.v2x.recording import FUTURE, STEP_S
 from anchorflow_training.v2x.text import UNTOLD, opened, token_rows
 
@@ -72,6 +72,9 @@ class V2XRunConfig(RunConfig):
     evaluation: JudgeConfig = field(default_factory=lambda: JudgeConfig(every=500, scenes=64))
     model: V2XConfig = field(default_factory=V2XConfig)
     loss: LossConfig = field(default_factory=LossConfig)
+    epochs: int = setting(
+        0, "Passes over the pairs, each judged at its end; 0: as steps and evaluation say.", ge=0
+    )
     roadside_dropout: float = setting(
         0.25,
         "Share of pairs whose roadside picture is withheld; 1: none is ever seen.",
@@ -101,6 +104,13 @@ class V2XObjective(nn.Module):
 
     def forward(self, batch: dict[str, Tensor], withheld: Tensor) -> tuple[Tensor, dict]:
         """The loss and its terms."""
+        loss, terms, _ = self.judged(batch, withheld)
+        return loss, terms
+
+    def judged(
+        self, batch: dict[str, Tensor], withheld: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor], Tensor]:
+        """The loss, its terms, and the waypoints [B,45,2], m."""
         weights = self.config.loss
         seen = _seen(self.model, batch)
         fused = self.model.fuse(*seen, ~withheld, batch["tokens"], batch["mask"])
@@ -120,7 +130,7 @@ class V2XObjective(nn.Module):
         if weights.next_token:
             terms["next_token"] = self._next_token(fused, batch)
             total = total + weights.next_token * terms["next_token"]
-        return total, terms
+        return total, terms, waypoints
 
     def _distillation(self, waypoints: Tensor, batch: dict[str, Tensor]) -> Tensor:
         """The teacher sees both pictures whatever the student sees."""
@@ -151,6 +161,15 @@ def _seen(model: V2XVLM, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
     return vehicle, infrastructure
 
 
+def by_epochs(config: V2XRunConfig, pairs: int) -> V2XRunConfig:
+    """The configuration with the steps of its epochs over so many pairs, if it has any."""
+    if not config.epochs:
+        return config
+    every = max(1, pairs // (config.batch.scenes * config.accumulate * config.devices))
+    evaluation = replace(config.evaluation, every=every)
+    return replace(config, steps=config.epochs * every, evaluation=evaluation)
+
+
 SMALLEST_SPREAD = 0.1
 """m, below which the spread of a waypoint is no unit to learn in."""
 
@@ -159,8 +178,8 @@ class V2XRun(TrainingRun):
     """Learns waypoints from the pairs of the sequences that are not held out.
 
     Raises:
-        ConfigError: the model is not of the dataset's shape, or there are fewer pairs than a batch
-            has.
+        ConfigError: the model is not of the dataset's shape, a prompt is too long for it, or there
+            are fewer pairs than a batch has.
         CheckpointError: a checkpoint it uses has another tokenizer than the dataset.
     """
 
@@ -171,7 +190,12 @@ class V2XRun(TrainingRun):
         if len(self.trained_on) < config.batch.scenes:
             most = f"at most {len(self.trained_on)}, the pairs that there are"
             raise ConfigError(f"batch.scenes: expected {most}, got {config.batch.scenes}")
+        self.config = config = by_epochs(config, len(self.trained_on))
         self._tokenizer = opened(dataset.tokenizer)
+        longest = max(len(each.ids) for each in self._tokenizer.encode_batch([*dataset.prompts]))
+        if config.text and longest > (most := config.model.max_tokens):
+            expected = f"at least {longest}, as the longest prompt has"
+            raise ConfigError(f"model.max_tokens: expected {expected}, got {most}")
         self._teacher, self._learnt_from = self._load_teacher()
         super().__init__(config, out)
 
@@ -243,24 +267,22 @@ class V2XRun(TrainingRun):
         held = self.dataset.indices(held_out=True)
         count = min(self.config.evaluation.scenes, len(held))
         indices = held[np.linspace(0, len(held) - 1, count).astype(int)]
-        see = self.config.roadside_dropout < 1
-        return judge(self.dataset, indices, self.plans(model, indices, roadside=see)), None
+        plans, loss = self.plans(model, indices, roadside=self.config.roadside_dropout < 1)
+        return {**judge(self.dataset, indices, plans), "loss": loss}, None
 
     @torch.no_grad()
     def plans(
         self, model: V2XVLM, indices: NDArray[np.int64], *, roadside: bool = True
-    ) -> NDArray[np.float64]:
-        """[N,45,2] m, of pairs; without the roadside picture where `roadside` is false."""
-        plans = []
+    ) -> tuple[NDArray[np.float64], float]:
+        """[N,45,2] m, of pairs, and their mean loss; the roadside picture is seen if `roadside`."""
+        objective, plans, total = V2XObjective(model, self.config, self._teacher), [], 0.0
         for part in np.array_split(indices, max(1, len(indices) // self.config.batch.scenes)):
-            inputs = {name: torch.from_numpy(each) for name, each in self._rows(part).items()}
-            inputs = self.fabric.to_device(inputs)
-            there = torch.full((len(part),), roadside, device=self.fabric.device)
-            vehicle = model.look(inputs["vehicle_image"])
-            infrastructure = model.look(inputs["infrastructure_image"])
-            fused = model.fuse(vehicle, infrastructure, there, inputs["tokens"], inputs["mask"])
-            plans.append(model.drive(fused).double().cpu().numpy())
-        return np.concatenate(plans)
+            rows = {name: torch.from_numpy(each) for name, each in self._rows(part).items()}
+            withheld = torch.full((len(part),), not roadside)
+            loss, _, waypoints = objective.judged(*self.fabric.to_device((rows, withheld)))
+            plans.append(waypoints.double().cpu().numpy())
+            total += len(part) * float(loss)
+        return np.concatenate(plans), total / len(indices)
 
     def _resume(self, saved: Checkpoint) -> None:
         self._check_tokenizer(self.model, source=str(self.checkpoint_path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -50,6 +51,38 @@ def seen_scene(boxes: Array, pose: Array) -> str:
 SPECIAL = ("<s>", "<pad>", "</s>", "<unk>")
 """Special tokens, in Florence-2's order."""
 FILE_NAME = "tokenizer.json"
+
+
+def picture_name(recording: Path, picture: Path) -> str:
+    """What a file of descriptions calls a picture: its place in the recording."""
+    return picture.relative_to(recording).as_posix()
+
+
+def read_descriptions(file: Path) -> dict[str, str]:
+    """Texts by the names of pictures, of a file of `anchorflow data descriptions`.
+
+    A line is `{"picture": "vehicle-side/image/000010.jpg", "description": "The image shows ..."}`.
+
+    Raises:
+        DatasetError: naming the file, and the line that is another.
+    """
+    try:
+        lines = file.read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{file}: expected descriptions ({error})") from error
+    return dict(_description(line, f"{file}: line {n}") for n, line in enumerate(lines, 1))
+
+
+def _description(line: str, where: str) -> tuple[str, str]:
+    try:
+        row = json.loads(line)
+        picture, text = row["picture"], row["description"]
+    except (ValueError, KeyError, TypeError):
+        picture = text = None
+    if not isinstance(picture, str) or not isinstance(text, str):
+        expected = "an object of picture and description, both texts"
+        raise DatasetError(f"{where}: expected {expected}, found {line}")
+    return picture, text
 
 
 def train_tokenizer(texts: Iterable[str], *, vocabulary: int = 512) -> bytes:
