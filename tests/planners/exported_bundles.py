@@ -106,7 +106,7 @@ NETWORKS: dict[str, Callable[[], Any]] = {
     "wote": tiny_wote.tiny_wote,
     "wote-driven": lambda: tiny_wote.tiny_wote(WOTE),
     "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
-    "v2x_vlm": small_v2x,
+    "v2x_vlm": lambda: small_v2x(pooled_columns=2),
 }
 
 

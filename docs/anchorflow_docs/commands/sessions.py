@@ -334,6 +334,7 @@ NOT_RUN = {
     r"make bench|anchorflow bench ": "runs for minutes on all cores; tests/benchmarks runs less",
     r"(\.venv/bin/)?anchorflow (train|distill) ": "trains for the better part of an hour or more",
     r"anchorflow data (make|drive|anchors|sensors) ": "draws scenes for a quarter of an hour",
+    r"anchorflow data (descriptions|pairs) RECORDING ": "needs Florence-2; a test makes a tiny one",
     r"anchorflow data import-log ": "needs a published recording; its test makes one",
     r"anchorflow (export|serve) .*bundles/|cp data/drive": "needs the training above it",
     r"python examples/quickstart.py": "trains for two minutes; its test trains less",

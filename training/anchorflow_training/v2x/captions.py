@@ -21,7 +21,7 @@ from anchorflow_training.v2x.text import opened, picture_name, read_descriptions
 DETAILED_CAPTION = "Describe in detail what is shown in the image."
 """The prompt that Florence-2 was trained on for its task <DETAILED_CAPTION>."""
 MAX_TOKENS = 256
-"""Of a description."""
+"""The longest description."""
 REPEATED = 3
 """Tokens in a row that no description has twice, by the published settings."""
 BATCH = 4

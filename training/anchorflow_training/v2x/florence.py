@@ -34,7 +34,7 @@ MODEL_TYPES: Mapping[str, tuple[str, ...]] = {
     "text_config.": ("bart", "florence2_language", ""),
     "vision_config.": ("florence_vision", "davit", ""),
 }
-"""Of each part of config.json; Microsoft's parts need not name one."""
+"""Model types of each part of config.json; Microsoft's parts need not name one."""
 FEATURES = ["spatial_avg_pool", "temporal_avg_pool"]
 """What the projector puts before the prompt; Microsoft's settings name it."""
 MICROSOFT_SETTINGS: Mapping[str, tuple[str, ...]] = {
@@ -216,7 +216,7 @@ def _load_weights(
 
 
 def _weights(folder: Path) -> tuple[Path, dict[str, Tensor]]:
-    """The file of weights, and what is in it in the names of `transformers`."""
+    """Read the file of weights; its tensors get the names that `transformers` uses."""
     present = [folder / name for name in WEIGHTS if (folder / name).is_file()]
     if not present:
         raise _wrong(folder, "weights", " or ".join(WEIGHTS), "none")
