@@ -81,9 +81,8 @@ FIELDS: Mapping[str, tuple[str, ...]] = {
 }
 """What decides the result of the same weights, and must be as in the network."""
 LANGUAGE = "model.language_model."
-SHARED = f"{LANGUAGE}shared.weight"
 TIED = (
-    SHARED,
+    f"{LANGUAGE}shared.weight",
     f"{LANGUAGE}encoder.embed_tokens.weight",
     f"{LANGUAGE}decoder.embed_tokens.weight",
     "lm_head.weight",

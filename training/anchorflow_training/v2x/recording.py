@@ -111,7 +111,7 @@ class Sequence:
         return into_frame(after, self.poses[frame])[:, :2]
 
     def speed(self, frame: int) -> float:
-        """m/s ahead, from the frame before to this one: what is known at the time."""
+        """m/s ahead, from the frame before to this one, which a request can know."""
         moved = into_frame(self.poses[frame - 1 : frame], self.poses[frame])[0]
         return float(-moved[0] / (self.times[frame] - self.times[frame - 1]))
 

@@ -44,7 +44,7 @@ from anchorflow_training.v2x.text import UNTOLD, opened, token_rows
 
 @dataclass(frozen=True)
 class LossConfig:
-    """Weights of what is added to the smooth L1 of the waypoints, and how it is measured."""
+    """Weights and settings of the terms that are added to the smooth L1 of the waypoints."""
 
     alignment: float = setting(0.1, "Of InfoNCE between picture and prompt; 0: none.", ge=0)
     kappa: float = setting(0.07, "Its temperature.", gt=0)
