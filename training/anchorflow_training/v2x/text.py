@@ -54,7 +54,7 @@ FILE_NAME = "tokenizer.json"
 
 
 def picture_name(recording: Path, picture: Path) -> str:
-    """What a file of descriptions calls a picture: its place in the recording."""
+    """Name a picture by its place in the recording, as files of descriptions do."""
     return picture.relative_to(recording).as_posix()
 
 
