@@ -48,15 +48,11 @@ MICROSOFT = (
 """The converter of `transformers` backwards."""
 CONVERTED = {  # some of the names that the converter reads
     "image_pos_embed.column_embeddings.weight",
-    "image_proj_norm.bias",
     "image_projection",
-    "language_model.lm_head.weight",
     "language_model.model.decoder.layers.0.encoder_attn.k_proj.weight",
     "vision_tower.blocks.0.0.spatial_block.conv1.fn.dw.weight",
     "vision_tower.blocks.1.0.spatial_block.window_attn.fn.qkv.bias",
-    "vision_tower.blocks.1.0.spatial_block.window_attn.norm.weight",
     "vision_tower.blocks.2.0.channel_block.channel_attn.fn.proj.weight",
-    "vision_tower.blocks.2.0.channel_block.ffn.fn.net.fc2.bias",
     "vision_tower.blocks.3.0.channel_block.ffn.norm.weight",
     "vision_tower.convs.3.proj.weight",
     "visual_temporal_embed.pos_idx_to_embed",
@@ -192,10 +188,6 @@ BROKEN: dict[str, tuple[Callable[[Path], Any], str]] = {
         edited(lambda _, weights: weights[SHARED].add_(1)),
         r"tokens\.weight: expected the same table as model\.language_model\.shared\.weight",
     ),
-    "a bias": (
-        edited(lambda _, weights: weights["language_model.final_logits_bias"].add_(1)),
-        r"final_logits_bias: expected zeros",
-    ),
     "another depth": (
         edited(lambda settings, _: settings["vision_config"].update(depths=[1, 1, 9, 1])),
         r"vision_config\.depths: expected \[1, 1, 1, 1\], found \[1, 1, 9, 1\]",
@@ -205,10 +197,6 @@ BROKEN: dict[str, tuple[Callable[[Path], Any], str]] = {
         r"config\.json: model_type: expected florence2, found 'kosmos-2'",
     ),
     "truncated": (cut_short, "pytorch_model.bin: expected weights, found another file or one that"),
-    "no weights": (
-        removed("pytorch_model.bin"),
-        "weights: expected model.safetensors or pytorch_model.bin, found none",
-    ),
     "no config.json": (removed("config.json"), "config.json: expected the settings of a Florence"),
     "no tokenizer": (removed("tokenizer.json"), "tokenizer.json: expected a tokenizer"),
     "another tokenizer": (
