@@ -110,10 +110,7 @@ WRONG: dict[str, list[tuple[dict[str, Any], str]]] = {
         ({"image_size": 200}, "image_size: expected a multiple of 32 from 32 to 800, got 200"),
         ({"image_size": 192.0}, "image_size: expected a multiple of 32 from 32 to 800, got 192.0"),
         ({"image_size": 768}, "positions: expected at least 1281, for two pictures of 768"),
-        (
-            {"image_size": 768, "pooled_columns": 5},
-            "pooled_columns: expected a divisor of 24 cells",
-        ),
+        ({"pooled_columns": 4}, "pooled_columns: expected a divisor of 6 cells, got 4"),
         ({"variant": "huge"}, "variant: expected one of tiny, base, large, got 'huge'"),
         ({"vocabulary": 2}, "vocabulary: expected a whole number of 3 or more, got 2"),
         ({"max_tokens": -3}, "max_tokens: expected a whole number of 1 or more, got -3"),

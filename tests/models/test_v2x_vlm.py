@@ -63,7 +63,6 @@ def test_pooled_columns_put_both_pictures_on_the_cells_of_one(features: Tensor) 
     vehicle, infrastructure = features.chunk(2)
     fused = model.fuse(vehicle, infrastructure, there, tokens)
     assert fused.hidden.shape[1] == model.config.cells**2 + 1 + 9
-    # A column counts by its mean with its neighbour, never with the other picture's.
     swapped = model.fuse(vehicle.flip(-1), infrastructure, there, tokens).hidden
     torch.testing.assert_close(swapped, fused.hidden, atol=1e-5, rtol=0)
     moved = model.fuse(vehicle.flip(-2), infrastructure, there, tokens).hidden
