@@ -9,6 +9,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager, asynccontextmanager, suppress
 from dataclasses import dataclass, replace
@@ -34,6 +35,7 @@ from anchorflow_service.engine import Engine, later_loops
 from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
 from anchorflow_service.http.lifecycle import Draining, GracefulExit, TlsFiles, uvicorn_config
+from anchorflow_service.http.starting import answering_not_ready
 from anchorflow_service.http.tokens import TokenFile
 from anchorflow_service.observability.logs import set_up_logging
 from anchorflow_service.observability.metrics import SHARED_FOLDER, reserve_shared_files
@@ -117,7 +119,9 @@ def serve_until_stopped(
         if choice.workers > 1:
             _serve_with_workers(choice.with_shared_threads(), listener)
             return
-        app = open_service(choice, partial(_announce, choice, listener), zenoh=zenoh)
+        why = partial(later_loops.starting, time.monotonic())
+        with answering_not_ready(listener, why, tls=choice.tls, connections=choice.connections):
+            app = open_service(choice, partial(_announce, choice, listener), zenoh=zenoh)
         server = uvicorn.Server(uvicorn_config(app, draining=choice.draining, tls=choice.tls))
         with suppress(KeyboardInterrupt):  # uvicorn raises the signal again after it has shut down
             server.run(sockets=[listener])

@@ -97,7 +97,7 @@ def test_a_service_that_stops_is_missed_and_taken_up_again(
     assert back.status == 200
     expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
     expect(visit.locate("#link")).to_have_attribute("data-state", "up")
-    visit.forget_errors(UNREACHABLE)
+    visit.forget_errors(UNREACHABLE, "status of 503")  # while it starts
 
 
 def test_a_service_that_is_overloaded_is_waited_for(visit: Any) -> None:
@@ -119,6 +119,38 @@ def test_a_service_that_is_overloaded_is_waited_for(visit: Any) -> None:
     visit.answer(lambda: visit.locate("#retry").click(), lambda asked: asked["seed"] == 7)
     expect(visit.locate("#link-text")).to_contain_text("flowmp-small")
     visit.forget_errors("status of 429")
+
+
+def test_what_the_service_still_compiles_is_waited_for_and_does_without(
+    open_page: Callable[..., Any], artefacts: Path
+) -> None:
+    def not_ready(message: str, field: str | None = None) -> Callable[[Any], None]:
+        error = {"code": "not_ready", "message": message, "field": field}
+        return lambda route: route.fulfill(status=503, json={"error": error})
+
+    visit = open_page(at_once=False)
+    visit.page.route("**/openapi.json", not_ready("the service is starting: it compiles"))
+    visit.open()
+    banner = visit.locate("#banner-text")
+    expect(banner).to_have_text("The service is starting: it compiles. This page waits for it.")
+    expect(visit.locate("#retry")).to_be_hidden()
+    visit.page.screenshot(path=artefacts / "starting.png")
+    visit.page.unroute("**/openapi.json")
+    visit.wait_for_anchors()
+    expect(visit.locate("#banner")).to_be_hidden()
+
+    told = not_ready("obstacles: the loops are being compiled, for about 40 s more", "obstacles")
+    visit.page.route("**/anchors", told)
+    visit.locate("[data-tool=person]").click()
+    visit.page.mouse.click(*visit.at((1.0, 1.0)))
+    expect(banner).to_contain_text("preparing for people on the map, once on this machine, for ab")
+    visit.page.unroute("**/anchors")
+    visit.answer(
+        lambda: visit.page.keyboard.press("Delete"), lambda asked: "obstacles" not in asked
+    )
+    expect(visit.locate("#banner")).to_be_hidden()
+    visit.forget_errors("status of 503")
+    assert visit.errors == []
 
 
 @pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
@@ -172,5 +204,5 @@ def test_a_service_that_is_away_while_the_page_waits_for_a_token_is_taken_up_aga
     visit.locate("#seed").fill("7")
     visit.answer(lambda: visit.page.keyboard.press("Tab"), lambda asked: asked["seed"] == 7)
     visit.forget_errors("status of 401")
-    visit.forget_errors(UNREACHABLE)
+    visit.forget_errors(UNREACHABLE, "status of 503")  # while it starts
     assert visit.errors == []

@@ -93,6 +93,18 @@ def defer() -> None:
     POSE_LOOPS.defer()
 
 
+def starting(began: float) -> str:
+    """Return why a service that began to start at a monotonic time is not ready yet."""
+    if is_kept(STILL):
+        return "the service is starting: it loads its bundles"
+    left = USUAL_S[STILL] - (time.monotonic() - began)
+    told = f"for about {left:.0f} s more" if left > LEAST_S else "for a little longer than usual"
+    return (
+        "the service is starting: it compiles its loops for this processor, once on this machine, "
+        f"{told}"
+    )
+
+
 def compile_later() -> None:
     """Begin to compile what was deferred, one stage after the other; return at once."""
 

@@ -10,7 +10,7 @@ import gzip
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
@@ -18,6 +18,7 @@ import numpy as np
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
+from starlette.routing import Route
 
 from anchorflow_client.codec import Payload
 from anchorflow_client.contract import OdeSpec, ResolvedRequest, resolve_for_card
@@ -101,9 +102,7 @@ class FlowEngine(Protocol):
 def page_router(service: PlanningService) -> APIRouter:
     """Return `/`, `/page/…` and `POST /page/flow`."""
     router = APIRouter(include_in_schema=False)
-    for url, path in page_files():
-        respond = PageFile.read(path).respond
-        router.add_api_route(url, respond, methods=["GET", "HEAD"], name=path.name)
+    router.routes.extend(page_routes())
 
     @router.post("/page/flow")
     async def flow(request: Request) -> Response:
@@ -113,6 +112,12 @@ def page_router(service: PlanningService) -> APIRouter:
         return await cancel_on_disconnect(request, _replay(service, Payload(body), arrival))
 
     return router
+
+
+@cache
+def page_routes() -> tuple[Route, ...]:
+    """Return a route for every file of the page."""
+    return tuple(Route(url, PageFile.read(path).respond) for url, path in page_files())
 
 
 def page_files() -> Iterator[tuple[str, Path]]:

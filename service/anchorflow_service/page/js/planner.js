@@ -6,10 +6,17 @@ import { Refusal, ask } from "./service.js";
 const FIRST_WAIT_MS = 500;
 const LONGEST_WAIT_MS = 8_000;
 const HEARTBEAT_MS = 3_000;
+/** Between requests for what the service still compiles. */
+const PART_MS = 4_000;
+/** Parts of a request that a service compiles after it has begun to answer. */
+const PARTS = { obstacles: "people on the map", kinematics: "a robot with a shape or wheels" };
+const TIME_LEFT = /about \d+ s more/;
 
 export class Planner {
   #wanted = false;
   #wake = () => {};
+  /** Whether the service answers other requests than the one that waits. */
+  #isPartly = false;
   /** Whether a request is in flight, or the planner waits for the service. */
   busy = false;
 
@@ -26,6 +33,8 @@ export class Planner {
   async ask() {
     this.#wanted = true;
     if (!this.busy) await this.#run();
+    // Another scene may do without what the service still compiles.
+    else if (this.#isPartly) this.#wake();
   }
 
   /** Retry now. */
@@ -61,9 +70,25 @@ export class Planner {
         this.onRefusal({ question, error });
         return;
       }
-      await this.#recover(error);
+      if (error.isPartly) await this.#waitForPart(error);
+      else await this.#recover(error);
       this.#wanted = true;
     }
+  }
+
+  /** The service answers, but not this request yet. */
+  async #waitForPart(error) {
+    this.#isPartly = true;
+    this.onDown({ error, waitMs: PART_MS });
+    await this.#pause(PART_MS);
+    this.#isPartly = false;
+  }
+
+  #pause(milliseconds) {
+    return new Promise((resolve) => {
+      this.#wake = resolve;
+      setTimeout(resolve, milliseconds);
+    });
   }
 
   /** Wait until the service takes requests again. */
@@ -71,10 +96,7 @@ export class Planner {
     for (let wait = FIRST_WAIT_MS; ; wait = Math.min(2 * wait, LONGEST_WAIT_MS)) {
       const waitMs = error.retryAfterS ? 1e3 * error.retryAfterS : wait;
       this.onDown({ error, waitMs });
-      await new Promise((resolve) => {
-        this.#wake = resolve;
-        setTimeout(resolve, waitMs);
-      });
+      await this.#pause(waitMs);
       try {
         await ask("v2/health/ready");
         this.onUp();
@@ -118,19 +140,19 @@ export class Connection {
 
   /** The service has not answered yet. */
   wait(message) {
-    byId("banner").hidden = false;
-    byId("banner-text").textContent = message;
+    this.#banner(true, `${sentence(message)} This page waits for it.`);
+    byId("retry").hidden = true;
     this.#show("wait", "Waiting for the service");
   }
 
   down({ error, waitMs }) {
     const until = performance.now() + waitMs;
     clearInterval(this.#countdown);
-    byId("banner").hidden = false;
-    const reason = error.message.replace(/; try again in \d+ s$|\.$/, ""); // the banner counts the seconds
+    byId("retry").hidden = false;
+    const reason = reasonOf(error);
     const count = () => {
       const left = Math.max(0, Math.ceil((until - performance.now()) / 1e3));
-      byId("banner-text").textContent = `${reason}. ${left ? `Trying again in ${left} s.` : "Trying again."}`;
+      this.#banner(error instanceof Refusal, `${reason} ${left ? `Trying again in ${left} s.` : "Trying again."}`);
     };
     count();
     this.#countdown = setInterval(count, 250);
@@ -138,8 +160,27 @@ export class Connection {
     else this.#show("down", "Not connected");
   }
 
+  /** `waits`: the service is there, and will take requests. */
+  #banner(waits, text) {
+    byId("banner").toggleAttribute("data-waits", waits);
+    byId("banner").hidden = false;
+    if (byId("banner-text").textContent !== text) byId("banner-text").textContent = text;
+  }
+
   #show(state, text) {
     byId("link").dataset.state = state;
     byId("link-text").textContent = text;
   }
+}
+
+/** A message as a sentence. */
+const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1).replace(/\.$/, "")}.`;
+
+/** Why a request has to wait, in plain words. */
+function reasonOf(error) {
+  if (error.isPartly) {
+    const part = PARTS[error.field] ?? error.field;
+    return `The service is still preparing for ${part}, once on this machine, for ${error.message.match(TIME_LEFT)?.[0] ?? "a while"}. Without that it answers now.`;
+  }
+  return sentence(error.message.replace(/; try again in \d+ s$/, "")); // the banner counts the seconds
 }

@@ -22,6 +22,11 @@ export class Refusal extends Error {
   get isTransient() {
     return this.code === "overloaded" || this.code === "not_ready";
   }
+
+  /** Whether the service answers requests without the field already. */
+  get isPartly() {
+    return this.code === "not_ready" && Boolean(this.field);
+  }
 }
 
 /** There is no response, or none that follows the contract. */

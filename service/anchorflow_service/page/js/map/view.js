@@ -24,8 +24,17 @@ import { Zoom } from "./zoom.js";
 const FIRST_SAMPLE = { forest: 5, rooms: 4, city: 5, maze: 2, empty: 0 };
 /** What an anchor can be coloured by, and the array of the response that it needs. */
 const COLOURED = { score: "scores", speed: "velocities", clearance: "clearance" };
-/** Fields of a request that have a place on the map. */
+/** Fields of a request that have a place on the map, and what helps. */
 const PLACES = { x_goal: "goal", x_curr: "start" };
+const ADVICE = { goal: "Drag it to free ground, or set a goal tolerance.", start: "Drag it to free ground, or switch on Clear start." };
+/** Refusals that are not about one field, in plain words. */
+const CODES = {
+  too_large: "The map is too large for this service.",
+  deadline_exceeded: "The time budget ran out.",
+  unknown_model: "This bundle is no longer served.",
+  internal: "The service failed; its log says why.",
+};
+const FIELDS = { cost_map: "The map cannot be used.", obstacles: "The people cannot be used.", footprint: "The shape of the robot cannot be used." };
 
 export class MapView extends AnchorView {
   #samples = { ...FIRST_SAMPLE };
@@ -165,7 +174,8 @@ export class MapView extends AnchorView {
 
   refused({ error }) {
     if (this.robot.active) this.robot.refused(error.message);
-    this.bubble.refuse(error);
+    const label = this.form.fields.all.find(({ path }) => path === error.field)?.label;
+    this.bubble.refuse(error, label ? `${label}: this value cannot be used.` : undefined);
     this.#fadeBecause("The service refused");
   }
 
@@ -302,10 +312,11 @@ class Bubble {
     byId("bubble").hidden = true;
   }
 
-  refuse({ field, message }) {
-    this.at = PLACES[field?.split(".")[0]] ?? null;
-    const title = this.at ? `The ${this.at} cannot be there.` : "The service refused.";
-    byId("bubble").replaceChildren(make("b", {}, title), make("span", {}, message));
+  refuse({ code, field, message }, labelled) {
+    const [group] = field?.split(".") ?? [];
+    this.at = PLACES[group] ?? null;
+    const title = this.at ? `The ${this.at} cannot be there.` : labelled ?? FIELDS[group] ?? CODES[code] ?? "The service refused.";
+    byId("bubble").replaceChildren(make("b", {}, title), ...(this.at ? [`${ADVICE[this.at]} `] : []), make("span", {}, message));
     byId("bubble").hidden = false;
     this.place();
   }
