@@ -15,7 +15,6 @@ from anchorflow_service.bundle.manifest import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.routes.splines import STRETCH, spread_round, usual_spread
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines, spline_basis
 
@@ -117,14 +116,7 @@ class RoutesPlanner:
 
     def plan(self, scene: Scene, *, num: int, seed: int) -> Proposals:
         scene = unfinished_scene(scene, self.limits, self.finish)
-        tried = spread_round(
-            scene.route_splines,
-            scene.basis,
-            tries=num,
-            rng=np.random.default_rng(seed),
-            spread=usual_spread(scene.ends),
-            stretch=STRETCH if self.limits.horizon_s is None else 0.0,
-        )
+        tried = scene.spread_round_routes(num, np.random.default_rng(seed))
         finish = with_descents(self.finish, self.descents)
         return finished(tried.splines, tried.route, scene, finish)
 

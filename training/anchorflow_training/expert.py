@@ -11,7 +11,7 @@ from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.finish.certificate import verify
 from anchorflow_trajectory.finish.descent import descend
 from anchorflow_trajectory.finish.refiner import STIFFER
-from anchorflow_trajectory.routes.splines import STRETCH, RouteSplines, spread_round, usual_spread
+from anchorflow_trajectory.routes.splines import RouteSplines
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import Splines
 
@@ -53,14 +53,7 @@ class Solution:
 
 def solve(scene: Scene, *, config: ExpertConfig, rng: np.random.Generator) -> Solution:
     """Try `config.tries` descents on the scene."""
-    tried = spread_round(
-        scene.route_splines,
-        scene.basis,
-        tries=config.tries,
-        rng=rng,
-        spread=usual_spread(scene.ends),
-        stretch=STRETCH if scene.motion.horizon_s is None else 0.0,
-    )
+    tried = scene.spread_round_routes(config.tries, rng)
     fields, splines = scene.cost_fields, tried.splines
     cost = stiffer = TrajectoryCost(
         scene.basis,

@@ -34,7 +34,14 @@ from anchorflow_trajectory.routes.passing import (
 )
 from anchorflow_trajectory.routes.search import SLACK, Route, find_routes, place_along
 from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
-from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
+from anchorflow_trajectory.routes.splines import (
+    LEAST_WAY,
+    STRETCH,
+    RouteSplines,
+    splines_along,
+    spread_round,
+    usual_spread,
+)
 from anchorflow_trajectory.spline.basis import DEGREE, Ends, SplineBasis, Splines, spline_basis
 
 ROUTE_STATES = "route_states"
@@ -314,10 +321,24 @@ class Scene:
     @property
     def route_states(self) -> NDArray[np.float32]:
         """[R, T, 3D + 1]: p, p', p'' along each route in its own time [m], and log duration."""
-        splines = self.route_splines
+        return self.states_of(self.route_splines)
+
+    def states_of(self, splines: Splines) -> NDArray[np.float32]:
+        """Return p, p', p'' of splines in their own time [m] and log duration: [N, T, 3D + 1]."""
         states = self.basis.own_time_states(splines.control)
         lasting = np.broadcast_to(np.log(splines.duration)[:, None, None], (*states.shape[:2], 1))
         return np.concatenate([states, lasting], -1, dtype=np.float32)
+
+    def spread_round_routes(self, tries: int, rng: np.random.Generator) -> RouteSplines:
+        """Return `tries` splines about those of the routes, dealt out in turn."""
+        return spread_round(
+            self.route_splines,
+            self.basis,
+            tries=tries,
+            rng=rng,
+            spread=usual_spread(self.ends),
+            stretch=STRETCH if self.motion.horizon_s is None else 0.0,
+        )
 
     @property
     def limits(self) -> NDArray[np.float32]:

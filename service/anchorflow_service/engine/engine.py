@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from itertools import chain
 from time import perf_counter
+from typing import TypeGuard
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from anchorflow_service.engine.interfaces import (
 from anchorflow_service.engine.poses import PosePlanner
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
+from anchorflow_service.engine.samplers.ways import drawn_round_ways
 from anchorflow_trajectory.threads import usable_cores
 
 PROBED = 16  # anchors
@@ -86,6 +88,8 @@ class Engine:
         self.sampler: Sampler = kind(manifest, graphs, threads=self._threads)
         self._finish = FINISHES[manifest.finish.kind](manifest, threads=self._threads)
         self._poses = PosePlanner(manifest, threads=self._threads)
+        # Extras come from graphs, which ways do without.
+        self._has_ways = manifest.finish.kind == "spline" and not manifest.answer.extras
         self._warm_up(bundle)
 
     def plan(
@@ -141,14 +145,9 @@ class Engine:
         Raises:
             InvalidRequest, UnknownModel: as `plan`.
         """
+        clock, check = StageClock(), lambda: None
         return [
-            self.sampler.sample(
-                scene,
-                self.sampler.encode(scene, threads=self._threads),
-                threads=self._threads,
-                check=lambda: None,
-            )
-            for scene in self._scenes(request)
+            self._sampled(scene, clock, self._threads, check) for scene in self._scenes(request)
         ]
 
     def flow_states(self, request: ResolvedRequest, /) -> FlowStates:
@@ -157,11 +156,14 @@ class Engine:
         The finish starts from the last of them.
 
         Raises:
-            InvalidRequest, UnknownModel: as `plan`; the planner has no flow.
+            InvalidRequest, UnknownModel: as `plan`; the planner has no flow, or does without.
         """
         if not isinstance(self.sampler, OdeSampler):
             raise InvalidRequest(f"expected a model with a flow, got {self.card.name}", "model")
-        return self.sampler.flow_states(self._scenes(request)[0])
+        scene = self._scenes(request)[0]
+        if self._draws_ways(scene):
+            raise InvalidRequest("expected none, as anchors among them have no flow", "obstacles")
+        return self.sampler.flow_states(scene)
 
     def _common_time_step(self, request: ResolvedRequest) -> float:
         """Return the seconds between two time steps, if they are the same for all anchors."""
@@ -197,14 +199,26 @@ class Engine:
             with clock.stage("refine"):
                 finished = self._poses.plan(scene, threads=threads)
             return self._answer(scene, finished)
+        samples = self._sampled(scene, clock, threads, check)
+        with clock.stage("refine"):
+            finished = self._finish.finish(samples, scene, threads=threads)
+        return self._answer(scene, finished)
+
+    def _sampled(
+        self, scene: ConditionedScene, clock: StageClock, threads: int, check: Check
+    ) -> Samples:
+        if self._draws_ways(scene):
+            with clock.stage("sample"):
+                return drawn_round_ways(scene)
         with clock.stage("encode"):
             context = self.sampler.encode(scene, threads=threads)
         check()
         with clock.stage("sample"):
-            samples = self.sampler.sample(scene, context, threads=threads, check=check)
-        with clock.stage("refine"):
-            finished = self._finish.finish(samples, scene, threads=threads)
-        return self._answer(scene, finished)
+            return self.sampler.sample(scene, context, threads=threads, check=check)
+
+    def _draws_ways(self, scene: ConditionedScene) -> TypeGuard[MapScene]:
+        """Whether the anchors of a scene are drawn without a network."""
+        return self._has_ways and isinstance(scene, MapScene) and scene.scene.movers is not None
 
     def _answer(self, scene: ConditionedScene, finished: Arrays) -> tuple[Arrays, str | None]:
         """Return the arrays of the card and the extras that the request lists, and the reason."""

@@ -9,7 +9,8 @@ import pytest
 from asked_engine import plan
 from crowd_judge import Crowd, answered_gap
 
-from anchorflow_client.contract import AnchorBatch, AnchorRequest
+from anchorflow_client.contract import AnchorBatch, AnchorRequest, resolve_for_card
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 
@@ -90,6 +91,25 @@ def test_anchors_pass_in_more_than_one_way_and_keep_their_distance(
     blind = asked(engine, horizon_s=horizon_s)
     assert (gaps(blind, SITUATIONS[who]) < 0.0).any()
     np.testing.assert_allclose(anchors.trajectories[:, -1], [GOAL] * 64, atol=1e-3)
+
+
+def test_no_network_draws_anchors_among_what_moves(engine: Engine) -> None:
+    other = {"method": "midpoint", "schedule": [0.0, 0.5, 1.0]}
+    assert not np.array_equal(asked(engine).trajectories, asked(engine, sampler=other).trajectories)
+    anchors = asked(engine, CROSSING)
+    assert np.array_equal(anchors.trajectories, asked(engine, CROSSING, sampler=other).trajectories)
+    # A warm start draws the anchors of its way, and leaves the others.
+    kept = anchors.trajectories[anchors.scores.argmin()]
+    warm = asked(engine, CROSSING, warm_start={"trajectory": kept, "tau": 0.95})
+    before, after = (np.abs(each.trajectories - kept).max((1, 2)) for each in (anchors, warm))
+    assert np.sort(after)[4] < 0.3 < np.sort(before)[4]
+    assert after.max() > 1.0
+    asks = AnchorRequest.build(
+        cost_map={"data": np.zeros((1, 16, 16), np.float32), "resolution": 1.0},
+        x_curr=[*START, 0, 0, 0, 0], x_goal=[*GOAL, 0, 0], obstacles=CROSSING,
+    )  # fmt: skip
+    with pytest.raises(InvalidRequest, match="obstacles: expected none"):
+        engine.flow_states(resolve_for_card(asks, engine.card))
 
 
 def test_one_route_number_is_one_side(engine: Engine) -> None:

@@ -27,6 +27,7 @@ EASY_TURN = 0.5  # share of v_max at which bends are driven at omega_max
 SHARES = (1.0, 0.5)  # of an anchor's own shape, tried until it is safe
 EASED_S = 1.5  # s from the start, in which shapes begin to differ
 PART = 16  # anchors of a task, on however many threads
+PACED = 2  # anchors of one shape, which differ in pace
 PACES = (0.7, 0.97)  # shares of v_max
 YIELDS = ((0.0, 1.0), (0.0, 0.6), (0.6, 1.0), (1.5, 1.0), (3.0, 1.0), (0.0, 0.35), (6.0, 1.0))
 """Waits [s] and factors on the speed, tried until nothing that moves is met."""
@@ -67,7 +68,7 @@ class BodyPlanner:
 
         def finish(at: int) -> None:
             k, own = parts[at]
-            driven[at] = self._anchors(lines[k], drawn[own], paces[own], certified_margin)
+            driven[at] = self._anchors(lines[k], drawn[own[::PACED]], paces[own], certified_margin)
 
         self.run([partial(finish, at) for at in range(len(parts))])
         numbers = np.concatenate([np.full(len(own), k) for k, own in parts])
@@ -104,26 +105,15 @@ class BodyPlanner:
     def _anchors(
         self, line: _Line, drawn: FloatArray, paces: FloatArray, certified: float
     ) -> _Driven:
-        """Return anchors along a way, with shapes drawn [N, 2, 3] and paces [N].
+        """Return anchors along a way, with shapes drawn [N / PACED, 2, 3] and paces [N].
 
         One whose shape is not safe, or cannot be driven from the start on, takes the way's own.
         """
-        count, controls = len(drawn), line.controls
-        own = [self._varied(s, c[0], drawn) for s, c in zip(line.way, controls, strict=True)]
-        table = np.repeat(line.table, count, 0)
+        count = len(paces)
+        table, shaped, room = self._shaped(line, drawn, certified)
+        table, shaped, room = (np.repeat(a, PACED, 0)[:count] for a in (table, shaped, room))
         driven = _Driven.empty(count, self.steps)
-        driven.safe[:], driven.room[:] = line.safe, line.room
-        shaped = np.zeros(count, np.bool_)
-        for share in SHARES:
-            chosen = np.flatnonzero(~shaped)
-            if not len(chosen):
-                break
-            pairs = zip(controls, own, strict=True)
-            mixed = [base + share * (other[chosen] - base) for base, other in pairs]
-            rows, safe, least = self._checked(line, mixed, certified)
-            done = chosen[safe]
-            table[done], driven.room[done] = rows[safe], least[safe]
-            driven.safe[done] = shaped[done] = True
+        driven.safe[:], driven.room[:] = line.safe | shaped, room
         keeps = self._drive(line, table, driven, np.arange(count), paces, 0.0)
         if len(stiff := np.flatnonzero(shaped & ~keeps)):
             table[stiff], driven.room[stiff] = line.table, line.room
@@ -134,6 +124,28 @@ class BodyPlanner:
             driven.safe[:] = False
         self._pass_movers(line, table, driven, paces, certified)
         return driven
+
+    def _shaped(
+        self, line: _Line, drawn: FloatArray, certified: float
+    ) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Return tables [S, R, 6] of shapes, which of them are safe, and their room [S] m.
+
+        One that is not safe is the way's own.
+        """
+        controls = line.controls
+        own = [self._varied(s, c[0], drawn) for s, c in zip(line.way, controls, strict=True)]
+        table, room = np.repeat(line.table, len(drawn), 0), np.full(len(drawn), line.room)
+        shaped = np.zeros(len(drawn), np.bool_)
+        for share in SHARES:
+            chosen = np.flatnonzero(~shaped)
+            if not len(chosen):
+                break
+            pairs = zip(controls, own, strict=True)
+            mixed = [base + share * (other[chosen] - base) for base, other in pairs]
+            rows, safe, least = self._checked(line, mixed, certified)
+            done = chosen[safe]
+            table[done], room[done], shaped[done] = rows[safe], least[safe], True
+        return table, shaped, room
 
     def _drive(
         self,

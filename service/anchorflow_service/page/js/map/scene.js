@@ -122,7 +122,7 @@ export class Scene {
 
   /** Whether the anchors come from a flow, which can be replayed. */
   get hasFlow() {
-    return this.card.sampler.kind === "ode" && !this.hasBody;
+    return this.card.sampler.kind === "ode" && !this.hasBody && !this.people.length;
   }
 
   /** Another map, with a start and a goal that fit it unless they are given. */
