@@ -1,7 +1,7 @@
 """Samples without a network, for scenes in which something moves.
 
-The flows were trained on worlds that stand still, and what they make of a way past somebody is worse
-than the way itself (docs/people.md). So anchors begin on the ways in space and time.
+The flows were trained on worlds that stand still. What they make of a way past somebody is worse
+than the way itself (docs/people.md), so anchors begin on the ways in space and time.
 """
 
 from __future__ import annotations
