@@ -35,6 +35,11 @@ def main() -> None:
         folder = Path(name, "anchorflow")
         check_out(folder)
         for session in WALKTHROUGH:
+            if subprocess.run(
+                session.tool, shell=True, capture_output=True, check=False
+            ).returncode:
+                sys.stdout.write(f"skipped: {session.name}: no success of {session.tool}\n")
+                continue
             for make in session.given:
                 make(folder)
             programs = folder / ".venv" / "bin"

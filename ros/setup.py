@@ -1,6 +1,7 @@
 """The package for colcon; the extra `[ros]` of anchorflow brings the same modules."""
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 from setuptools import setup
 
@@ -8,7 +9,7 @@ NAME = "anchorflow_ros"
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=ElementTree.parse("package.xml").findtext("version"),
     packages=[NAME],
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

@@ -223,7 +223,17 @@ def fit(run: TrainingRun) -> None:
         run.fit(report)
     if run.leads:
         why = ": no progress, stopped early" if run.stopped else ""
-        typer.echo(f"{run.checkpoint_path}: step {run.step}{why}")
+        typer.echo(f"{run.checkpoint_path}: step {run.step}{why}{_how_good(run)}")
+
+
+def _how_good(run: TrainingRun) -> str:
+    if not run.evaluations:
+        return ""
+    best = max(run.evaluations, key=lambda row: row["success"])
+    return (
+        f"; success on what is held out {run.evaluations[-1]['success']:.3g},"
+        f" best {best['success']:.3g} at step {best['step']:g} ({run.best_path.name})"
+    )
 
 
 def _write_config(run: TrainingRun) -> None:

@@ -87,6 +87,9 @@ from anchorflow_client.retry import (
     RetryingClient as RetryingClient,
 )
 
+__version__ = "0.1.0"
+"""Of every distribution that is built from this repository."""
+
 if TYPE_CHECKING:
     from anchorflow_client.zenoh_client import (
         AsyncZenohAnchorClient as AsyncZenohAnchorClient,

@@ -29,6 +29,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 
@@ -46,6 +47,10 @@ class AbsentError(UsageError, LookupError):
 
 def how_to_install(extra: str) -> str:
     """Return the command that installs an extra, for a message; in a checkout it stays editable."""
+    try:
+        version("anchorflow")
+    except PackageNotFoundError:  # the client alone
+        return f"pip install 'anchorflow-client[{extra}]'"
     return f"pip install 'anchorflow[{extra}]', in a checkout pip install -e '.[{extra}]'"
 
 

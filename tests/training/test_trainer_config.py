@@ -229,5 +229,8 @@ def test_without_a_terminal_each_report_is_a_plain_line(
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[:3] for line in lines[:2]] == [["step", str(n), "loss"] for n in (1, 2)]
     assert lines[2].startswith("step 2 success ")
-    assert lines[-1].endswith("checkpoint.pt: step 2")
+    told = (
+        r"checkpoint\.pt: step 2; success on what is held out \S+, best \S+ at step 2 \(best\.pt\)$"
+    )
+    assert re.search(told, lines[-1])
     assert layers(TrainerConfig, {}, out / "config.yaml").steps == 2

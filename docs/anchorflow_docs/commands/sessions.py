@@ -7,6 +7,7 @@ by `make walkthrough`. `NOT_RUN` has the reasons why other commands are not run.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -43,9 +44,9 @@ threading.Event().wait()
 
 
 def program(folder: Path) -> None:
-    """Write `ask.py`, the first program of the front page."""
-    first = programs_of(ROOT / "docs" / "index.md")[0]
-    (folder / "ask.py").write_text(first.text)
+    """Write `ask.py` and `ask_zenoh.py`, the first programs of two pages."""
+    for name, page in (("ask.py", "index.md"), ("ask_zenoh.py", "zenoh.md")):
+        (folder / name).write_text(programs_of(ROOT / "docs" / page)[0].text)
 
 
 def scene(folder: Path) -> None:
@@ -61,12 +62,27 @@ def scene(folder: Path) -> None:
 
 def ros_map(folder: Path) -> None:
     """Write a free map of 12 x 10 m inside a wall."""
-    pixels = np.full((200, 240), 254, dtype=np.uint8)
+    draw_map(folder, "map", shape=(200, 240))
+
+
+def draw_map(folder: Path, name: str, *, shape: tuple[int, int]) -> None:
+    """Write the files of a map server's map, 0.05 m/cell, that is free inside a wall."""
+    pixels = np.full(shape, 254, dtype=np.uint8)
     pixels[[0, -1]] = pixels[:, [0, -1]] = 0
-    Image.fromarray(pixels).save(folder / "map.png")
-    fields = {"image": "map.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
+    Image.fromarray(pixels).save(folder / f"{name}.png")
+    fields = {"image": f"{name}.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
     fields |= {"occupied_thresh": 0.65, "free_thresh": 0.25}
-    (folder / "map.yaml").write_text(yaml.safe_dump(fields))
+    (folder / f"{name}.yaml").write_text(yaml.safe_dump(fields))
+
+
+def depot(folder: Path) -> None:
+    """Copy the map of a depot, or draw a free one of its size where there is no shared data."""
+    shared = os.environ.get("ANCHORFLOW_SHARED_DATA", ROOT.parent / "shared" / "data")
+    if (source := Path(shared, "maps", "depot.yaml")).is_file():
+        for file in (source, source.with_suffix(".pgm")):
+            shutil.copy(file, folder)
+    else:
+        draw_map(folder, "depot", shape=(307, 604))
 
 
 def bundles(folder: Path) -> None:
@@ -130,6 +146,7 @@ class Session:
     given: functions that write the files that the commands need
     before: commands that run first and are printed nowhere
     needs: a module without which the session is skipped
+    tool: a shell command without whose success the walkthrough skips the session
     """
 
     name: str
@@ -137,6 +154,27 @@ class Session:
     given: tuple[Callable[[Path], None], ...] = ()
     before: tuple[str, ...] = ()
     needs: str | None = None
+    tool: str = "true"
+
+
+def on_python(version: str) -> Session:
+    """Install both wheels for a Python, each alone, and plan from an empty folder."""
+    robot, served = f"robot-{version}", f"served-{version}"
+    return Session(
+        f"Python {version}",
+        (),
+        (ros_map, program),
+        before=(
+            f"python{version} -m venv {robot} && python{version} -m venv {served}",
+            f"{robot}/bin/pip install dist/anchorflow_client-*.whl",
+            f'{served}/bin/pip install "$(echo dist/anchorflow-0*.whl)[service]"',
+            f'top=$PWD && cd "$(mktemp -d)" && $top/{served}/bin/anchorflow plan'
+            " --map $top/map.yaml --start 2.0,3.5 --goal 9.0,6.0",
+            f"{served}/bin/anchorflow serve",
+            f"{robot}/bin/python ask.py",
+        ),
+        tool=f"python{version} -c ''",
+    )
 
 
 ON_RAY = ("serve run anchorflow_service.ray_app:app max_replicas=8 cpus=2", READY, PLAN)
@@ -217,14 +255,61 @@ QUICK = (
 )
 
 WALKTHROUGH = (
-    Session("start", ("make serve", READY, PLAN), before=("make .venv/.service",)),
+    Session(
+        "start",
+        ("make serve", READY, PLAN, ".venv/bin/python ask.py"),
+        (program,),
+        before=("make .venv/.service",),
+    ),
+    Session(
+        "a depot",
+        (),
+        (depot,),
+        before=("anchorflow plan --map depot.yaml --start 2,3.5 --goal 28,13",),
+    ),
+    Session(
+        "over zenoh",
+        (),
+        (program,),
+        before=(
+            "pip install -e '.[service,zenoh]'",
+            "anchorflow serve --zenoh peer",
+            "python ask_zenoh.py",
+        ),
+    ),
+    Session(
+        "from C++",
+        (
+            "g++ -std=c++17 -O2 examples/cpp/anchors.cpp -lcurl -o anchors",
+            "anchorflow serve",
+            "./anchors http://127.0.0.1:8000",
+        ),
+        tool="echo '#include <curl/curl.h>' | g++ -x c++ -fsyntax-only -",
+    ),
+    Session(
+        "wheels",
+        (
+            "pip wheel --no-deps --wheel-dir dist .",
+            "pip wheel --no-deps --wheel-dir dist ./client",
+            "pip wheel --no-deps --wheel-dir dist ./client ./trajectory ./control",
+            "python3 -m venv served",
+            "served/bin/pip install 'dist/anchorflow-0.1.0-py3-none-any.whl[service]'",
+            "python3 -m venv robot",
+            "robot/bin/pip install 'dist/anchorflow_client-0.1.0-py3-none-any.whl[zenoh]'",
+            "served/bin/anchorflow serve",
+            "robot/bin/python ask.py",
+        ),
+        (program,),
+    ),
+    *(on_python(version) for version in ("3.10", "3.12", "3.13")),
     Session("another port", ("make serve PORT=8001",)),
     Session(
         "a small planner",
         (
             "make toolkit",
             ".venv/bin/anchorflow data make data/small --scenes 400",
-            ".venv/bin/anchorflow train data/small --out runs/small --steps 600 --samples 16",
+            ".venv/bin/anchorflow train data/small --out runs/small --steps 600 --samples 16"
+            " --held-out 40",
             ".venv/bin/anchorflow generate --checkpoint runs/small/checkpoint.pt --start 0,0"
             " --goal 6,1 --plot small.png",
             ".venv/bin/anchorflow export runs/small/checkpoint.pt --out bundles/small --name small",
@@ -294,7 +379,9 @@ WALKTHROUGH = (
             "pip install -e '.[bench]'",
             "pip install -e '.[robot]'",
             "pip install -e '.[crowds]'",
-            "pip install -e .",
+            "pip install -e ./client",
+            "pip install -e './client[zenoh]'",
+            "pip install -e ./client -e ./trajectory -e ./control",
             "pip install -e '.[zenoh]'",
             "pip install -e '.[service,zenoh]'",
             "pip install -e '.[service,otel]'",
@@ -329,7 +416,6 @@ BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "ma
 """Commands of `.ci/run` itself."""
 
 NOT_RUN = {
-    r"g\+\+ |\./anchors ": "needs libcurl's headers; tests/examples compiles and runs it with them",
     r"kubectl ": "needs a cluster",
     r"make bench|anchorflow bench ": "runs for minutes on all cores; tests/benchmarks runs less",
     r"(\.venv/bin/)?anchorflow (train|distill) ": "trains for the better part of an hour or more",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 # Commands that run until Ctrl-C, and what they print when they are up.
 SERVERS = {
-    r"(\.venv/bin/)?anchorflow serve\b": r" at https?://",
+    r"(\S+/bin/)?anchorflow serve\b": r" at https?://",
     r"make serve\b": r" at https?://",
     r"serve run ": r" is ready at http://",
     r"python router\.py": r"router at",
@@ -31,7 +31,7 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
 print("up", flush=True)
 sys.stdin.read()
 """
-FETCHES = re.compile(r"(\.venv/bin/)?pip install |make toolkit\b|make \.venv/")
+FETCHES = re.compile(r"(\S+/bin/)?pip (install|wheel) |make toolkit\b|make \.venv/")
 """Commands that need the network of the machine."""
 STOP_S = 60.0  # for a server after Ctrl-C
 GRACE_S = 5.0  # for its children after that
