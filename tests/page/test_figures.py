@@ -34,8 +34,11 @@ def test_scores_that_are_all_tiny_are_told_apart(
 ) -> None:
     """GoalFlow on an empty raster gives such scores."""
     visit = open_page(served_all.url)
+    visit.page.route("**/page/samples/*", lambda route: route.fulfill(body=""))
     visit.wait_for_anchors()
     visit.locate("#bundle").select_option("goalflow")
+    expect(visit.locate("#summary")).to_contain_text("No sample fits")
+    visit.locate("#plan").click()
     expect(visit.locate("#summary")).to_contain_text("64 anchors,", timeout=PATIENCE_MS)
 
     tiny = re.compile(r"[1-9]\.\de−\d+")

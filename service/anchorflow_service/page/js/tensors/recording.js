@@ -12,7 +12,7 @@ const SAMPLES = ["street", "crossing"];
 const LONGEST_S = 1;
 const KEYS = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1 };
 /** A picture that is wider than high by this factor is above the board, not beside it. */
-const WIDE = 2;
+const WIDE = 1.5;
 
 export class Recording {
   drive = null;
