@@ -423,6 +423,7 @@ NOT_RUN = {
     r"anchorflow data (descriptions|pairs) RECORDING ": "needs Florence-2; a test makes a tiny one",
     r"anchorflow data import-log ": "needs a published recording; its test makes one",
     r"anchorflow (export|serve) .*bundles/|cp data/drive": "needs the training above it",
+    r"python docs/page_samples.py": "writes into the package; a test reads what it wrote",
     r"python examples/quickstart.py": "trains for two minutes; its test trains less",
     r"docker ": "needs a container engine; `make image` builds the same Dockerfile with buildah",
     r"zenohd ": "needs zenohd, which is not on PyPI; the tests' router is the library's own",

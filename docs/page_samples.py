@@ -1,6 +1,4 @@
-"""Makes the drives with which the page opens planners without a map.
-
-    PYTHONPATH=docs python -m anchorflow_docs.page_samples
+"""Make the drives that the page opens planners without a map with: `python docs/page_samples.py`.
 
 street.json     a simulated drive through a left turn, for GoalFlow, WoTE and DiffusionDriveV2
 crossing.json   a synthetic crossing seen by a car and from the roadside, for V2X-VLM
