@@ -49,6 +49,7 @@ from anchorflow_client.contract import DEFAULT_NUM_SAMPLES, AnchorBatch, AnchorR
 from anchorflow_client.http import AnchorClient
 from anchorflow_client.ros_map import RosMap, load_ros_map, map_window, read_layer
 from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.engine import later_loops
 from anchorflow_service.local import LocalClient
 
 app = command_app()
@@ -129,6 +130,7 @@ def plan(
         clear_start=clear_start,
         goal_tolerance=body.tolerance(goal_tolerance, heading_counts=heading_counts),
     )
+    later_loops.on_demand()
     opened = AnchorClient(url) if url else LocalClient.of(bundle or DEFAULT_BUNDLE)
     with opened as client:
         anchors = client.plan_request(request)

@@ -53,7 +53,11 @@ except ImportError:  # Windows
 
 logger = logging.getLogger(__name__)
 
-MODULE = "anchorflow_trajectory.warm_up"
+# Ctrl-C ends it without a traceback, wherever it is.
+PROGRAM = (
+    "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL);"
+    "from anchorflow_trajectory.warm_up import main; main(sys.argv[1:])"
+)
 STILL, MOVING, POSES = STAGES = ("still", "moving", "poses")
 USUAL_S = {STILL: 40, MOVING: 40, POSES: 30}  # on two cores
 SUBJECTS = {STILL: "routes and finish", MOVING: "moving obstacles", POSES: "footprints and wheels"}
@@ -85,7 +89,7 @@ def compile_loops(*stages: str) -> None:
 
 def compiler(stage: str) -> subprocess.Popen[bytes]:
     """Start a niced process that compiles a stage and what it needs."""
-    return subprocess.Popen([sys.executable, "-m", MODULE, NICED, stage])
+    return subprocess.Popen([sys.executable, "-c", PROGRAM, NICED, stage])
 
 
 def is_kept(stage: str) -> bool:
@@ -165,7 +169,7 @@ def _descent_beside(stage: str) -> subprocess.Popen[bytes] | None:
     if code_folder() is None or usable_cores() < 2:
         return None
     try:
-        return subprocess.Popen([sys.executable, "-m", MODULE, DESCENT, stage])
+        return subprocess.Popen([sys.executable, "-c", PROGRAM, DESCENT, stage])
     except OSError:  # the descent is compiled here then
         return None
 

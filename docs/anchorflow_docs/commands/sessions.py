@@ -23,6 +23,9 @@ from anchorflow_docs.commands.printed import ROOT
 from anchorflow_docs.page_blocks import programs_of
 
 BUNDLES = ROOT / "service" / "anchorflow_service" / "bundles"
+DEPOT = Path(
+    os.environ.get("ANCHORFLOW_SHARED_DATA", ROOT.parent / "shared/data"), "maps/depot.yaml"
+)
 READY = "curl -s http://127.0.0.1:8000/v2/health/ready"
 PLAN = (
     "python3 - <<'PY' | curl -s http://127.0.0.1:8000/anchors"
@@ -62,27 +65,12 @@ def scene(folder: Path) -> None:
 
 def ros_map(folder: Path) -> None:
     """Write a free map of 12 x 10 m inside a wall."""
-    draw_map(folder, "map", shape=(200, 240))
-
-
-def draw_map(folder: Path, name: str, *, shape: tuple[int, int]) -> None:
-    """Write the files of a map server's map, 0.05 m/cell, that is free inside a wall."""
-    pixels = np.full(shape, 254, dtype=np.uint8)
+    pixels = np.full((200, 240), 254, dtype=np.uint8)
     pixels[[0, -1]] = pixels[:, [0, -1]] = 0
-    Image.fromarray(pixels).save(folder / f"{name}.png")
-    fields = {"image": f"{name}.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
+    Image.fromarray(pixels).save(folder / "map.png")
+    fields = {"image": "map.png", "resolution": 0.05, "origin": [0, 0, 0], "negate": 0}
     fields |= {"occupied_thresh": 0.65, "free_thresh": 0.25}
-    (folder / f"{name}.yaml").write_text(yaml.safe_dump(fields))
-
-
-def depot(folder: Path) -> None:
-    """Copy the map of a depot, or draw a free one of its size where there is no shared data."""
-    shared = os.environ.get("ANCHORFLOW_SHARED_DATA", ROOT.parent / "shared" / "data")
-    if (source := Path(shared, "maps", "depot.yaml")).is_file():
-        for file in (source, source.with_suffix(".pgm")):
-            shutil.copy(file, folder)
-    else:
-        draw_map(folder, "depot", shape=(307, 604))
+    (folder / "map.yaml").write_text(yaml.safe_dump(fields))
 
 
 def bundles(folder: Path) -> None:
@@ -264,8 +252,8 @@ WALKTHROUGH = (
     Session(
         "a depot",
         (),
-        (depot,),
-        before=("anchorflow plan --map depot.yaml --start 2,3.5 --goal 28,13",),
+        before=(f"anchorflow plan --map {DEPOT} --start 2,3.5 --goal 28,13",),
+        tool=f"test -f {DEPOT}",
     ),
     Session(
         "over zenoh",
@@ -289,9 +277,7 @@ WALKTHROUGH = (
     Session(
         "wheels",
         (
-            "pip wheel --no-deps --wheel-dir dist .",
-            "pip wheel --no-deps --wheel-dir dist ./client",
-            "pip wheel --no-deps --wheel-dir dist ./client ./trajectory ./control",
+            "pip wheel --no-deps --wheel-dir dist . ./client ./trajectory ./control",
             "python3 -m venv served",
             "served/bin/pip install 'dist/anchorflow-0.1.0-py3-none-any.whl[service]'",
             "python3 -m venv robot",

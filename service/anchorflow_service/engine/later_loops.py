@@ -2,6 +2,7 @@
 
     defer()           before the first engine, where they are not on disk yet
     compile_later()   once the service answers
+    on_demand()       before the only engine of a program that answers a single request
 
 Otherwise the first engine that may need them loads or compiles them.
 """
@@ -39,7 +40,7 @@ class LaterLoops:
     def __init__(self, stage: str, field: str) -> None:
         """field: of a request that needs them."""
         self._stage, self._field = stage, field
-        self._is_deferred = False
+        self._is_deferred = self._is_on_demand = False
         self._done = threading.Event()
         self._begin = time.monotonic()
 
@@ -47,14 +48,20 @@ class LaterLoops:
         """Leave the loops for `compile`, unless they are on disk."""
         self._is_deferred = not is_kept(self._stage)
 
+    def on_demand(self) -> None:
+        """Leave the loops for the first request that needs them, which compiles them."""
+        self._is_on_demand = True
+
     def load(self) -> None:
         """Make them ready for an engine, and what they build on, unless they are deferred."""
         compile_loops(STILL)
-        if not self._is_deferred:
+        if not (self._is_deferred or self._is_on_demand):
             compile_loops(self._stage)
 
     def require(self) -> None:
         """Raise `NotReady` while requests that need them cannot be answered."""
+        if self._is_on_demand:
+            compile_loops(self._stage)
         if not self._is_deferred or self._done.is_set():
             return
         left = max(SLOWER * USUAL_S[self._stage] - (time.monotonic() - self._begin), LEAST_S)
@@ -91,6 +98,12 @@ def defer() -> None:
     """Leave what is not on disk for `compile_later`."""
     MOVING_LOOPS.defer()
     POSE_LOOPS.defer()
+
+
+def on_demand() -> None:
+    """Leave what the first requests do not need."""
+    MOVING_LOOPS.on_demand()
+    POSE_LOOPS.on_demand()
 
 
 def starting(began: float) -> str:

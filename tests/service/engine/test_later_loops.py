@@ -54,3 +54,16 @@ def test_what_is_on_disk_is_loaded_at_once(monkeypatch: pytest.MonkeyPatch) -> N
     loops.compile()
     loops.require()
     assert compiled == ["still", "moving"]
+
+
+def test_what_a_program_leaves_is_compiled_by_the_request_that_needs_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    compiled = list[str]()
+    monkeypatch.setattr(later_loops, "compile_loops", compiled.append)
+    loops = LaterLoops("moving", "obstacles")
+    loops.on_demand()
+    loops.load()
+    assert compiled == ["still"]
+    loops.require()
+    assert compiled == ["still", "moving"]
