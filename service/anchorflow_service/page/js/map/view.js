@@ -140,7 +140,6 @@ export class MapView extends AnchorView {
     this.style.show(scene.style);
     this.body.show(scene.body);
     this.ends.show();
-    byId("replay").disabled = !scene.hasFlow || this.robot.active;
     const { horizon_s: horizon } = card.conditioning.limits;
     byId("bundle-hint").textContent = `What answers: ${horizon === null ? "each anchor in its own time" : `${horizon} s`}, in ${card.time.steps} steps.`;
   }
@@ -157,6 +156,7 @@ export class MapView extends AnchorView {
     this.replay.end();
     if (what === "map" || what === "options") this.surface.redraw();
     if (what === "map") this.kept = null;
+    byId("replay").disabled = !this.scene.hasFlow || this.robot.active;
     this.surface.drawTop();
     if (this.active && !this.robot.active) this.planner.ask();
   }
@@ -257,7 +257,6 @@ export class MapView extends AnchorView {
     delete byId("board").dataset.drive;
     byId("drive-note").hidden = true;
     press("drive", false, "Drive", "play");
-    byId("replay").disabled = !this.scene.hasFlow;
     this.scene.changed("ends");
   }
 
