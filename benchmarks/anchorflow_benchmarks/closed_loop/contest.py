@@ -44,7 +44,7 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.local import LocalClient
 
-WORLDS = "FILE|drawn:N:SEED|forests:N:SEED"
+WORLDS = "FILE|drawn:N:SEED|narrow:N:SEED|forests:N:SEED"
 HASH_DIGITS = 12
 SOURCES = {
     "": None,
@@ -261,7 +261,7 @@ def closed_loop(
     ] = None,
     lost: Annotated[float, typer.Option(min=0, max=1, help="Share of the answers.")] = 0.0,
     noise: Annotated[float, typer.Option(min=0, help="Of the lidar's ranges, m.")] = 0.01,
-    robot: Annotated[str, typer.Option(help="unicycle or double-integrator.")] = "unicycle",
+    robot: Annotated[str, typer.Option(help=f"{', '.join(ROBOTS)}.")] = "unicycle",
     limit_s: Annotated[float, typer.Option(min=0.1, help="Simulated time of a run.")] = 50.0,
     workers: Annotated[int, typer.Option(min=1, help="Processes, one run each at a time.")] = 1,
     threads: options.Threads = None,
@@ -279,7 +279,13 @@ def closed_loop(
         # Checked now: refusals of a service without a model would be timed as answers.
         anchors += f", of {_version(options.first_card(url))} at {url}"
     spec = parse_sampler(sampler, opened.card)
-    contenders = contenders_of(options.whole_numbers(motions, "--motions"), anchors=num)
+    counts = options.whole_numbers(motions, "--motions")
+    contenders = contenders_of(counts, anchors=num)
+    if is_rectangle := ROBOTS[robot]().half is not None:  # the others know discs
+        contenders = contenders_of(
+            counts, anchors=num, controllers=("anchorflow",), sources=(None, "served")
+        )
+    asked = {"method": spec.method, "schedule": list(spec.schedule)}
     drive = DriveConfig(
         limit_s=limit_s,
         lidar_noise=noise,
@@ -287,7 +293,7 @@ def closed_loop(
         options={
             "w_style": style,
             "num_samples": num,
-            "sampler": {"method": spec.method, "schedule": list(spec.schedule)},
+            **({} if is_rectangle else {"sampler": asked}),
         },
     )
     config = ContestConfig(bundle, url, threads, latency_ms, lost, robot, drive=drive)

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from anchorflow_benchmarks.closed_loop.robots import DoubleIntegrator, Robot
+from anchorflow_benchmarks.closed_loop.robots import DoubleIntegrator, Jackal, Robot
 from anchorflow_client import CostMap
 from anchorflow_client.planner import Plan
 from anchorflow_control import MppiConfig, MppiController, Robot as ControlledRobot
@@ -103,7 +103,8 @@ def controlled(robot: Robot) -> ControlledRobot:
         kind="differential",
         v_max=robot.v_max,
         a_max=robot.a_max,
-        radius=robot.radius,
+        radius=None if isinstance(robot, Jackal) else robot.radius,
+        footprint=robot.corners if isinstance(robot, Jackal) else None,
         omega_max=robot.yaw_rate_max,
         alpha_max=robot.yaw_acceleration_max,
         reverse=True,

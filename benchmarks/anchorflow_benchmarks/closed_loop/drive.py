@@ -126,7 +126,7 @@ class Drive:
         self._map = LocalMap(cells=config.map_cells, resolution=config.map_resolution)
         self._rng = np.random.default_rng(seed)
         self._seeds = np.random.default_rng([seed, 1])
-        self._clearance = world.clearance(world.start[:2], self.robot.radius)
+        self._clearance = self.robot.room(world, self.state)
         self._length = 0.0
         self._ticks_braked = 0
         self.commands_s: list[float] = []
@@ -158,11 +158,11 @@ class Drive:
             resolution=local.resolution,
             origin=local.origin,
             x_curr=self._in_slow_motion(robot.x_curr(self.state)),
-            x_goal=[*self.world.goal, 0.0, 0.0],
-            robot_radius=robot.radius,
+            x_goal=[*self.world.goal, *np.zeros(2 if robot.half is None else 4)],
             v_max=robot.v_max,
             a_max=robot.a_max,
             seed=int(self._seeds.integers(2**31)),
+            **robot.options,
             **self.config.options,
         )
         if not plan.usable:
@@ -206,7 +206,7 @@ class Drive:
             self._clock.advance(step_s)
             place = self.robot.pose(self.state)[:2]
             self._length += float(np.linalg.norm(place - before))
-            clearance = self.world.clearance(place, self.robot.radius)
+            clearance = self.robot.room(self.world, self.state)
             self._clearance = min(self._clearance, clearance)
             if clearance < 0.0:
                 return End.COLLISION

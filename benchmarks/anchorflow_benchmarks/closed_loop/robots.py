@@ -1,7 +1,7 @@
-"""Two robots in torch, for the simulation and for MPPI's samples.
+"""Robots in torch, for the simulation and for MPPI's samples.
 
-States [..., X] and controls [..., U] hold the fields named in each class. Both robots have a disc
-of `radius` m, the limits `v_max` m/s and `a_max` m/s^2, a lidar with a `field_of_view` in rad, and
+States [..., X] and controls [..., U] hold the fields named in each class. Robots have a disc of
+`radius` m, or a `half` [2] m of a rectangle and in it that disc, the limits `v_max` m/s and `a_max` m/s^2, a lidar with a `field_of_view` in rad, and
 
     control_limit      [U], the largest size of each control
     start(pose)        state at rest at a pose [3]: x, y in m, yaw in rad
@@ -10,19 +10,25 @@ of `radius` m, the limits `v_max` m/s and `a_max` m/s^2, a lidar with a `field_o
     braking(state, dt) the control of the hardest braking
     speed(state)       m/s, negative backwards
     pose(state)        [3] of the lidar
-    x_curr(state)      [6] position, velocity, acceleration of a request
+    x_curr(state)      [6] position, velocity, acceleration of a request; [9] of poses
+    room(world, state) m between the body and the nearest post, negative if they overlap
+    options            fields of a request that describe the body
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from math import pi, tau
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+from anchorflow_benchmarks.closed_loop.worlds import World
 
 Array = NDArray[np.float64]
 
@@ -40,6 +46,7 @@ class Unicycle:
     """
 
     state_size: ClassVar[int] = 5
+    half: ClassVar[tuple[float, float] | None] = None
     radius: float = 0.25
     v_max: float = 2.0
     v_min: float = -0.5
@@ -96,12 +103,50 @@ class Unicycle:
         pull = np.clip(speed * yaw_rate, -self.a_max, self.a_max)
         return np.concatenate([[x, y], speed * along, pull * aside])
 
+    def room(self, world: World, state: Tensor) -> float:
+        return world.clearance(self.pose(state)[:2], self.radius)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"robot_radius": self.radius}
+
+
+@dataclass(frozen=True)
+class Jackal(Unicycle):
+    """The same with the rectangle that it is, 0.51 m long and 0.43 m wide."""
+
+    half: ClassVar[tuple[float, float]] = (0.254, 0.215)
+    radius: float = 0.215
+
+    def x_curr(self, state: Tensor) -> Array:
+        _, _, yaw, speed, yaw_rate = state.double().numpy()
+        flat = super().x_curr(state)
+        return np.concatenate([flat[:2], [yaw], flat[2:4], [yaw_rate], flat[4:], [0.0]])
+
+    def room(self, world: World, state: Tensor) -> float:
+        return world.rectangle_clearance(self.pose(state), self.half)
+
+    @property
+    def corners(self) -> Array:
+        """[4, 2] m of the outline."""
+        return np.array(self.half) * [[1, 1], [-1, 1], [-1, -1], [1, -1]]
+
+    @property
+    def options(self) -> dict[str, Any]:
+        drive = {"kind": "differential", "omega_max": self.yaw_rate_max, "reverse": True}
+        return {
+            "footprint": self.corners,
+            "kinematics": drive,
+            "goal_tolerance": {"position": 0.1, "heading": pi},
+        }
+
 
 @dataclass(frozen=True)
 class DoubleIntegrator:
     """State x, y [m], vx, vy [m/s]; control: the acceleration. Its lidar sees all round."""
 
     state_size: ClassVar[int] = 4
+    half: ClassVar[tuple[float, float] | None] = None
     radius: float = 0.25
     v_max: float = 2.0
     a_max: float = 3.0
@@ -139,10 +184,19 @@ class DoubleIntegrator:
     def x_curr(self, state: Tensor) -> Array:
         return np.array([*state.double().numpy(), 0.0, 0.0])
 
+    def room(self, world: World, state: Tensor) -> float:
+        return world.clearance(self.pose(state)[:2], self.radius)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return {"robot_radius": self.radius}
+
 
 Robot = Unicycle | DoubleIntegrator
-ROBOTS: dict[str, type[Robot]] = {
+ROBOTS: dict[str, Callable[[], Robot]] = {
     "unicycle": Unicycle,
+    "jackal": Jackal,
+    "jackal-disc": partial(Unicycle, radius=float(np.hypot(*Jackal.half))),
     "double-integrator": DoubleIntegrator,
 }
 

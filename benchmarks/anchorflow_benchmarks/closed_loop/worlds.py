@@ -35,11 +35,12 @@ from anchorflow_trajectory.motion import MotionLimits
 
 Array = NDArray[np.float64]
 
-DRAWN, FORESTS = "drawn", "forests"
+DRAWN, FORESTS, NARROW = "drawn", "forests", "narrow"
 GOAL_TOLERANCE = 1.0  # m; the challenge counts a robot within it as arrived
 ROBOT_RADIUS = 0.25  # m, of the robots that worlds are drawn for
 MIN_GAP = 0.08  # m to spare on either side at the narrowest place of the widest way
 MAX_GAP = 0.25  # m that drawing finds in reasonable time
+NARROW_GAPS = (0.04, 0.08)  # m to spare: for a Jackal's rectangle, not for the disc round it
 EIGHT_NEIGHBOURS = np.ones((3, 3), bool)
 
 # Drawn corridors: BARN's, with its grid of posts.
@@ -79,6 +80,16 @@ class World:
         nearest = np.sqrt(((self.posts - position) ** 2).sum(1).min(initial=np.inf))
         return float(nearest) - self.post_radius - robot_radius
 
+    def rectangle_clearance(self, pose: Array, half: tuple[float, float]) -> float:
+        """Return the m between a rectangle at a pose [3] and the nearest post; as `clearance`.
+
+        half: m, half the length along the heading and half the width
+        """
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        off = np.abs((self.posts - pose[:2]) @ np.array([[cos, -sin], [sin, cos]])) - half
+        apart = np.linalg.norm(np.maximum(off, 0.0), axis=1) + np.minimum(off.max(1), 0.0)
+        return float(apart.min(initial=np.inf)) - self.post_radius
+
     @cached_property
     def to_spare(self) -> float:
         """m on either side of a robot of ROBOT_RADIUS at the narrowest place of its widest way."""
@@ -110,7 +121,9 @@ def read_worlds(path: Path) -> list[World]:
 
 
 def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
-    """Load the worlds of a .npz file, `drawn:COUNT:SEED` or `forests:COUNT:SEED`.
+    """Load the worlds of a .npz file, `drawn:COUNT:SEED`, `narrow:…` or `forests:…`.
+
+    Narrow ones are drawn ones that a Jackal's rectangle fits through and the disc round it does not.
 
     `:GAP` after the seed replaces MIN_GAP: `drawn:20:0:0.12`. A file holds worlds, or scenes in the
     format of `scene_files`. At most `limit` worlds are returned, evenly spread.
@@ -123,6 +136,10 @@ def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
     if kind == DRAWN:
         count, seed, gap = _drawing(kind, rest)
         worlds = [draw_world(1000 * seed + index, min_gap=gap) for index in range(count)]
+    elif kind == NARROW:
+        count, seed = count_and_seed(rest, kind)
+        low, high = NARROW_GAPS
+        worlds = [draw_world(1000 * seed + i, min_gap=low, max_gap=high) for i in range(count)]
     elif kind == FORESTS:
         count, seed, gap = _drawing(kind, rest)
         worlds = draw_forests(count, seed, min_gap=gap)
@@ -156,10 +173,10 @@ def _holds_scenes(path: Path) -> bool:
         return False
 
 
-def draw_world(seed: int, *, min_gap: float = MIN_GAP) -> World:
+def draw_world(seed: int, *, min_gap: float = MIN_GAP, max_gap: float = np.inf) -> World:
     """Draw a corridor like BARN's with random clusters of posts and a way through.
 
-    min_gap: m to spare on either side of a robot of ROBOT_RADIUS on the widest way
+    min_gap, max_gap: m to spare on either side of a robot of ROBOT_RADIUS on the widest way
     """
     rng = np.random.default_rng(seed)
     start, goal = np.array(START), np.array(GOAL)
@@ -168,7 +185,7 @@ def draw_world(seed: int, *, min_gap: float = MIN_GAP) -> World:
         length = _shortest_way(posts, passage=ROBOT_RADIUS + min_gap)
         if np.isfinite(length):
             world = World(f"{DRAWN} {seed}", posts, RADIUS, start, goal, length)
-            if world.to_spare >= min_gap:
+            if min_gap <= world.to_spare <= max_gap:
                 return world
 
 

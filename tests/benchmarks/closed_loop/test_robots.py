@@ -15,7 +15,13 @@ from anchorflow_benchmarks.closed_loop.anchor_sources import LinesSource
 from anchorflow_benchmarks.closed_loop.drive import Drive, DriveConfig, End
 from anchorflow_benchmarks.closed_loop.mppi import MppiConfig, MppiController
 from anchorflow_benchmarks.closed_loop.path_following import motions_along, timed_paths
-from anchorflow_benchmarks.closed_loop.robots import ROBOTS, DoubleIntegrator, Robot, Unicycle
+from anchorflow_benchmarks.closed_loop.robots import (
+    ROBOTS,
+    DoubleIntegrator,
+    Jackal,
+    Robot,
+    Unicycle,
+)
 from anchorflow_benchmarks.closed_loop.simulated_time import LatencyExecutor, SimulatedTime
 from anchorflow_benchmarks.closed_loop.worlds import World
 from anchorflow_client import AnchorBatch, AnchorRequest
@@ -61,7 +67,8 @@ def test_no_control_breaks_the_limits(name: str, controls: list[tuple[float, flo
     for control in controls:
         after = robot.step(state, torch.tensor(control, dtype=torch.float32), 0.1)
         assert float(robot.speed(after).abs()) <= robot.v_max + 1e-5
-        change = robot.x_curr(after)[2:4] - robot.x_curr(state)[2:4]
+        dim = len(robot.x_curr(after)) // 3
+        change = (robot.x_curr(after) - robot.x_curr(state))[dim : dim + 2]
         if isinstance(robot, DoubleIntegrator):
             assert np.linalg.norm(change) <= robot.a_max * 0.1 + 1e-5
         else:
@@ -90,6 +97,23 @@ def test_a_unicycle_tells_its_velocity_and_its_bend_in_the_map_frame() -> None:
     # v w = 5 m/s^2 to the right is more than anchors may be asked to begin with.
     state = torch.tensor([0.0, 0.0, 0.0, 2.0, -2.5])
     np.testing.assert_allclose(Unicycle().x_curr(state), [0, 0, 2, 0, 0, -3], atol=1e-6)
+
+
+def test_a_rectangle_is_as_near_to_a_post_as_its_nearest_edge_or_corner() -> None:
+    posts = np.array([[2.0, 0.0], [1.0, 3.0]])
+    world = World("two", posts, 0.1, np.zeros(3), np.array([5.0, 0.0]), 5.0)
+    robot = Jackal()
+    for pose, room in (
+        ([1.0, 0.0, 0.0], 1.0 - 0.254 - 0.1),
+        ([2.0, 1.0, 0.0], 1.0 - 0.215 - 0.1),
+        ([2.0, 1.0, math.pi / 2], 1.0 - 0.254 - 0.1),
+        ([3.0, -1.0, 0.0], math.hypot(1 - 0.254, 1 - 0.215) - 0.1),
+        ([2.0, 0.1, 0.0], -0.115 - 0.1),
+    ):
+        assert robot.room(world, robot.start(np.array(pose))) == pytest.approx(room, abs=1e-6)
+    state = torch.tensor([1.0, 2.0, math.pi / 2, 1.5, 0.7])
+    expected = [1, 2, math.pi / 2, 0, 1.5, 0.7, -1.5 * 0.7, 0, 0]
+    np.testing.assert_allclose(robot.x_curr(state), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("robot", BOTH)

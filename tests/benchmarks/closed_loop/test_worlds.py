@@ -103,6 +103,7 @@ def test_the_widest_way_is_as_wide_as_its_narrowest_gap(world: Callable) -> None
 def test_a_drawn_world_leaves_the_gap_that_was_asked_for() -> None:
     assert all(w.to_spare >= 0.12 for w in load_worlds("drawn:3:0:0.12"))
     assert load_worlds("forests:1:0:0.2")[0].to_spare >= 0.2
+    assert all(0.04 <= w.to_spare <= 0.08 for w in load_worlds("narrow:2:0"))
     with pytest.raises(BenchmarkError, match=r"expected a GAP from 0 to 0\.25 m, got drawn:3:0:x"):
         load_worlds("drawn:3:0:x")
 
