@@ -1,7 +1,8 @@
 """Robots in torch, for the simulation and for MPPI's samples.
 
 States [..., X] and controls [..., U] hold the fields named in each class. Robots have a disc of
-`radius` m, or a `half` [2] m of a rectangle and in it that disc, the limits `v_max` m/s and `a_max` m/s^2, a lidar with a `field_of_view` in rad, and
+`radius` m, or a rectangle of half its sides `half` [2] m with that disc in it, the limits `v_max`
+m/s and `a_max` m/s^2, a lidar with a `field_of_view` in rad, and
 
     control_limit      [U], the largest size of each control
     start(pose)        state at rest at a pose [3]: x, y in m, yaw in rad
@@ -119,7 +120,7 @@ class Jackal(Unicycle):
     radius: float = 0.215
 
     def x_curr(self, state: Tensor) -> Array:
-        _, _, yaw, speed, yaw_rate = state.double().numpy()
+        yaw, yaw_rate = state.double().numpy()[[2, 4]]
         flat = super().x_curr(state)
         return np.concatenate([flat[:2], [yaw], flat[2:4], [yaw_rate], flat[4:], [0.0]])
 

@@ -123,7 +123,7 @@ def read_worlds(path: Path) -> list[World]:
 def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
     """Load the worlds of a .npz file, `drawn:COUNT:SEED`, `narrow:…` or `forests:…`.
 
-    Narrow ones are drawn ones that a Jackal's rectangle fits through and the disc round it does not.
+    Narrow ones are drawn for a Jackal's rectangle; the disc round it does not fit through.
 
     `:GAP` after the seed replaces MIN_GAP: `drawn:20:0:0.12`. A file holds worlds, or scenes in the
     format of `scene_files`. At most `limit` worlds are returned, evenly spread.
