@@ -28,6 +28,7 @@ BENCHMARKS = {
     "closed-loop": benchmark(
         "closed_loop.contest:closed_loop", "Drive a robot past obstacles.", "robot"
     ),
+    "replay": benchmark("replay:replay", "Plan at every tick of recorded drives.", "bags"),
 }
 
 app = command_app()

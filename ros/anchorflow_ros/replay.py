@@ -93,7 +93,7 @@ def replay(bag: Path, out: Path, settings: Settings, client: AnchorSource) -> Su
             topic: writer.add_connection(PREFIX + topic, kind, typestore=STORE)
             for topic, kind in WRITTEN.items()
         }
-        for now, decision in _decisions(bag, driver):
+        for now, decision in decisions(bag, driver):
             for topic, message in record.messages(now, decision):
                 data = STORE.serialize_cdr(message, WRITTEN[topic])
                 writer.write(connections[topic], round(1e9 * now), data)
@@ -101,8 +101,8 @@ def replay(bag: Path, out: Path, settings: Settings, client: AnchorSource) -> Su
     return record.summary()
 
 
-def _decisions(bag: Path, driver: Driver) -> Iterator[tuple[float, Decision]]:
-    """Yield the time in s and the decision of each tick."""
+def decisions(bag: Path, driver: Driver) -> Iterator[tuple[float, Decision]]:
+    """Yield the time in s and the decision of each tick. Raises `BagError` as `replay`."""
     due: float | None = None
     for name, message in _messages(bag, driver.settings):
         if name != "odometry":

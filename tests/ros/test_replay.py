@@ -16,9 +16,11 @@ from rehearsed_robot import Rehearsal, Switched
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from anchorflow_benchmarks.replay import figures
 from anchorflow_client import InvalidRequest
+from anchorflow_ros.driver import Driver
 from anchorflow_ros.parameters import Settings
-from anchorflow_ros.replay import STORE, BagError, replay
+from anchorflow_ros.replay import STORE, AtOnce, BagError, decisions, replay
 from anchorflow_service.local import LocalClient
 
 TYPES = {
@@ -66,6 +68,12 @@ def test_a_drive_is_replayed(planner: LocalClient, tmp_path: Path, storage: Stor
 
     summary = replay(tmp_path / "bag", tmp_path / "out", Settings.of(), planner)
 
+    driver = Driver(Settings.of(), planner, executor=AtOnce())
+    row = figures(decision for _, decision in decisions(tmp_path / "bag", driver))
+    assert (row["ticks"], row["plans"]) == (summary.ticks, summary.plans)
+    assert (row["safe"], row["braked"]) == (1.0, 1 / 40)
+    assert row["elsewhere"] == 0.0
+    assert 0.0 < float(row["shift m"] or 0.0) < 0.2
     assert summary.ticks == 40
     assert 8 <= summary.plans <= 40
     assert summary.safe_share == 1.0
