@@ -93,6 +93,7 @@ WALLS: dict[str, set[str]] = {
         "anchorflow_client",
         "anchorflow_control",
         "anchorflow_driving",
+        "anchorflow_ros",  # recorded drives
         "anchorflow_service",
         "anchorflow_training",
         "anchorflow_trajectory",
