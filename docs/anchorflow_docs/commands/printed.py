@@ -11,6 +11,7 @@ import ast
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[3]
@@ -50,6 +51,7 @@ class Command:
         return re.sub(r"\s+# .*$", "", joined)
 
 
+@cache
 def printed() -> list[Command]:
     """Return all commands in the project's pages and modules."""
     folders = [each for each in ROOT.iterdir() if each.is_dir() and each.name not in WITHOUT]

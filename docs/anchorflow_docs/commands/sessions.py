@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 from PIL import Image
 
-from anchorflow_docs.commands.printed import ROOT
+from anchorflow_docs.commands.printed import ROOT, printed_texts
 from anchorflow_docs.page_blocks import programs_of
 
 BUNDLES = ROOT / "service" / "anchorflow_service" / "bundles"
@@ -145,26 +145,15 @@ class Session:
     tool: str = "true"
 
 
-def on_python(version: str) -> Session:
-    """Install both wheels for a Python, each alone, and plan from an empty folder."""
-    robot, served = f"robot-{version}", f"served-{version}"
-    return Session(
-        f"Python {version}",
-        (),
-        (ros_map, program),
-        before=(
-            f"python{version} -m venv {robot} && python{version} -m venv {served}",
-            f"{robot}/bin/pip install dist/anchorflow_client-*.whl",
-            f'{served}/bin/pip install "$(echo dist/anchorflow-0*.whl)[service]"',
-            f'top=$PWD && cd "$(mktemp -d)" && $top/{served}/bin/anchorflow plan'
-            " --map $top/map.yaml --start 2.0,3.5 --goal 9.0,6.0",
-            f"{served}/bin/anchorflow serve",
-            f"{robot}/bin/python ask.py",
-        ),
-        tool=f"python{version} -c ''",
-    )
-
-
+INSTALLS = re.compile(r"(\.venv/bin/)?pip install ")
+FROM_WHEELS = (
+    "python3 -m venv served",
+    "served/bin/pip install 'dist/anchorflow-0.1.0-py3-none-any.whl[service]'",
+    "python3 -m venv robot",
+    "robot/bin/pip install 'dist/anchorflow_client-0.1.0-py3-none-any.whl[zenoh]'",
+    "served/bin/anchorflow serve",
+    "robot/bin/python ask.py",
+)
 ON_RAY = ("serve run anchorflow_service.ray_app:app max_replicas=8 cpus=2", READY, PLAN)
 
 QUICK = (
@@ -274,20 +263,21 @@ WALKTHROUGH = (
         ),
         tool="echo '#include <curl/curl.h>' | g++ -x c++ -fsyntax-only -",
     ),
-    Session(
-        "wheels",
-        (
-            "pip wheel --no-deps --wheel-dir dist . ./client ./trajectory ./control",
-            "python3 -m venv served",
-            "served/bin/pip install 'dist/anchorflow-0.1.0-py3-none-any.whl[service]'",
-            "python3 -m venv robot",
-            "robot/bin/pip install 'dist/anchorflow_client-0.1.0-py3-none-any.whl[zenoh]'",
-            "served/bin/anchorflow serve",
-            "robot/bin/python ask.py",
-        ),
-        (program,),
+    Session("wheels", ("pip wheel --no-deps --wheel-dir dist . ./client ./trajectory ./control",)),
+    Session("from wheels", FROM_WHEELS, (program,)),
+    *(
+        Session(
+            f"from wheels on Python {version}",
+            (),
+            (program,),
+            before=tuple(
+                each.replace("python3 -m venv", f"python{version} -m venv --clear")
+                for each in FROM_WHEELS
+            ),
+            tool=f"python{version} -c ''",
+        )
+        for version in ("3.10", "3.12", "3.13")
     ),
-    *(on_python(version) for version in ("3.10", "3.12", "3.13")),
     Session("another port", ("make serve PORT=8001",)),
     Session(
         "a small planner",
@@ -358,25 +348,6 @@ WALKTHROUGH = (
         (trajectories,),
     ),
     Session(
-        "what else there is to install",
-        (
-            ".venv/bin/pip install -e '.[service,plot]'",
-            "pip install -e '.[service]'",
-            "pip install -e '.[bench]'",
-            "pip install -e '.[robot]'",
-            "pip install -e '.[crowds]'",
-            "pip install -e ./client",
-            "pip install -e './client[zenoh]'",
-            "pip install -e ./client -e ./trajectory -e ./control",
-            "pip install -e '.[zenoh]'",
-            "pip install -e '.[service,zenoh]'",
-            "pip install -e '.[service,otel]'",
-            "pip install -e '.[service,language]'",
-            "pip install -e '.[plot]'",
-            "pip install playwright",
-        ),
-    ),
-    Session(
         "a robot",
         (
             "pip install -e '.[robot]'",
@@ -396,6 +367,7 @@ WALKTHROUGH = (
             "python -m anchorflow_ros.simulator",
         ),
     ),
+    Session("all that there is to install", tuple(filter(INSTALLS.match, printed_texts()))),
 )
 
 BY_CI = ("make lint", "make format", "make test", "make docs", "make image", "make walkthrough")
