@@ -259,7 +259,10 @@ def _check_places(request: AnchorRequest) -> None:
     """Refuse a start or goal off the map, or in an occupied cell unless the request allows that."""
     cost_map = request.cost_map
     occupancy = cost_map.occupancy
-    may_be_occupied = {"x_curr": request.clear_start, "x_goal": request.goal_tolerance is not None}
+    # Among what moves a disc's goal moves to where it can be reached.
+    goal_moves = request.obstacles is not None and not request.has_body
+    goal_moves = goal_moves or request.goal_tolerance is not None
+    may_be_occupied = {"x_curr": request.clear_start, "x_goal": goal_moves}
     for name, allowed in may_be_occupied.items():
         points = getattr(request, name)[:, :2]
         for scene, (x, y) in enumerate(points.tolist()):

@@ -173,6 +173,19 @@ def test_anchors_end_beside_one_who_is_at_the_goal(
     assert_kept(anchors, taken)
 
 
+def test_a_goal_in_a_wall_moves_to_where_the_robot_can_get(engine: Engine) -> None:
+    occupancy = np.zeros((1, CELLS, CELLS), np.float32)
+    occupancy[0, 40:56, 86:90] = 1.0  # x from 3.8 to 4.2 m
+    walled = {"cost_map": {"data": occupancy, "resolution": RESOLUTION}}
+    anchors = asked(engine, CROSSING, **walled)
+    ends = anchors.trajectories[:, -1]
+    assert anchors.safe.mean() > 0.5
+    assert (np.linalg.norm(ends - GOAL, axis=-1) < 0.8).all()
+    assert_kept(anchors, CROSSING)
+    with pytest.raises(InvalidRequest, match="x_goal: expected a cell of occupancy below"):
+        asked(engine, **walled)
+
+
 def crowd_of(rng: np.random.Generator, count: int) -> dict[str, Any]:
     """Return walkers anywhere on the map, none of whom stands on the start."""
     position = rng.uniform(-4.8, 4.8, (4 * count, 2))

@@ -25,7 +25,8 @@ TABLE = 1 << 17  # places for poses, a power of two
 MOST_NODES = 60_000
 ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
 NEAR = 3.0  # m from the goal within which it is tried directly
-FURTHER = 600  # poses expanded after a first way
+FURTHER = 300  # poses expanded after a first way
+SHOT_EVERY = 3  # poses near the goal
 EMPTY = -1
 
 
@@ -130,7 +131,7 @@ def find_way(
         expanded += 1
         at = nodes.poses[node]
         away = np.hypot(at[0] - target.pose[0], at[1] - target.pose[1])
-        if away < NEAR or expanded % 8 == 1:
+        if expanded % (SHOT_EVERY if away < NEAR else 8) == 1 or expanded <= 2:
             shot, cost = direct_way(
                 ground, corners, reach, moves, at, int(nodes.gears[node]), target, spans
             )

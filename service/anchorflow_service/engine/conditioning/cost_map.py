@@ -24,6 +24,7 @@ from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
+from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
@@ -72,13 +73,16 @@ class CostMapConditioning:
         scenes = [self._scene(near, index, movers) for index in range(request.num_scenes)]
         if request.has_body:  # its goal and what moves are matters of its outline
             return [MapScene(near, scene, reference) for scene in scenes]
-        if (tolerance := request.goal_tolerance) is not None:
+        tolerance = None if movers is None else MOST_ASIDE
+        if request.goal_tolerance is not None:
+            tolerance = request.goal_tolerance.position
+        if tolerance is not None:
             for index, scene in enumerate(scenes):
-                moved = _within_tolerance(scene, tolerance.position)
+                moved = _within_tolerance(scene, tolerance)
                 if moved is None:
                     place = "({:g}, {:g}) m".format(*request.x_goal[index, :2])
                     raise InvalidRequest(
-                        f"expected a goal within {tolerance.position:g} m of a place that can be "
+                        f"expected a goal within {tolerance:g} m of a place that can be "
                         f"reached, got {place} of scene {index}",
                         "x_goal",
                     )
