@@ -24,8 +24,8 @@ from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
-from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.dijkstra import cell_index
+from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
 from anchorflow_trajectory.scene import NETWORK_CHANNELS, SCENE_INPUTS, Scene, finer_cells
