@@ -8,6 +8,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+from collections.abc import Sequence
 from importlib.metadata import requires
 from pathlib import Path
 from xml.etree import ElementTree
@@ -35,7 +36,7 @@ def metadata(folder: Path) -> ProjectMetadata:
     return ProjectMetadata(str(folder), PluginManager())
 
 
-def text_of(command: list[str | Path], *, folder: Path) -> str:
+def text_of(command: Sequence[str | Path], *, folder: Path) -> str:
     """Return what a command prints; this checkout is not on its path."""
     env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(command, cwd=folder, env=env, capture_output=True, text=True, check=False)
