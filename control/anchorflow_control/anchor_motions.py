@@ -52,8 +52,8 @@ def references(
 ) -> Floats:
     """Return [A,S,5], the chosen anchors as states of a robot, at every `dt` s from now on.
 
-    S is that of the longest, and `least` or more; after its end an anchor goes on at its last
-    velocity.
+    S is the longest one's number of states, at least `least`; after its end an anchor keeps its
+    last velocity.
 
     Args:
         batch: of one scene, with velocities and accelerations.
@@ -181,7 +181,7 @@ def follow(
             first, second = (first - state[3]) / dt, (second - state[4]) / dt
             before = state
             state = step(limits, state, first, second, dt)
-            # What the limits left of it.
+            # The change that the limits allowed.
             controls[k, t, 0] = (state[3] - before[3]) / dt
             controls[k, t, 1] = (state[4] - before[4]) / dt
             at += haste * pace

@@ -21,7 +21,7 @@ class Command:
     braking: bool
     """Whether it is the hardest braking, for the `reason` below."""
     cost: float
-    """Of the predicted motion, as the controller compares motions; lower is better."""
+    """The predicted motion's, by which the controller compares motions; lower is better."""
     reason: str | None = None
     """Why the robot brakes; None if it does not."""
     anchor: int | None = None

@@ -43,7 +43,7 @@ class MppiConfig:
     motions: int = 1024
     """Rolled out at each tick, those along anchors included."""
     steps: int = 40
-    """Of a motion."""
+    """Steps a motion has."""
     dt: float = 0.1
     """s, of a step; a tick may be shorter."""
     max_anchors: int = 16

@@ -63,9 +63,9 @@ def metres_left(
 ) -> None:
     """Write m [K] from the ends of motions [K,T,5] to a point of an anchor and along it.
 
-    The point is the one by which the way is shortest or, if an obstacle lies before it, one that is
-    near; if one lies before that too, BLOCKED_COST is added. Without points [3,P] it is the
-    straight line to the goal [2].
+    The way is shortest by the chosen point. If an obstacle hides that point, a near one is chosen;
+    if one hides that too, BLOCKED_COST is added. Without points [3,P] the way is the straight line
+    to the goal [2].
     """
     x, y = states[:, -1, 0].copy(), states[:, -1, 1].copy()
     if not points.shape[1]:

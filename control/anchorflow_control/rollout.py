@@ -51,7 +51,7 @@ class Weights(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What the motions of one tick have in common.
+    """The inputs that the motions of one tick share.
 
     start: [5] state, at the origin; discs: [J,3] of the body; dt: s of a step; goal: [2] m
     """
