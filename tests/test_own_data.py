@@ -1,4 +1,4 @@
-"""Recordings become a served bundle by commands alone."""
+"""Recordings become a served bundle by commands alone, by way of a teacher and its student."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.planning import PlanningService
+from anchorflow_training.dataset import SceneDataset, open_dataset
 
 SHORT = ("--steps", 3, "--scenes", 4, "--samples", 4, "--no-tensorboard")
-SMALL = ("--model.map-size", 16, "--model.map-scales", 1, "--model.layers", 1)
+SMALL = ("--model.map-size", 16, "--model.layers", 1, "--model.map-attention")
+FEW = ("--teacher.pairs", 2, "--teacher.steps", 1, "--schedule", "0,0.8,1")
 N, CELLS, RADIUS = 6, 32, 0.4
 
 
@@ -29,15 +31,22 @@ def anchorflow(*words: object) -> None:
     assert caught.value.code == 0
 
 
-def bundle_of(poses: Path, folder: Path, *cut: object) -> Engine:
-    """From recorded poses to an engine by the commands of docs/training-data.md."""
+def data_of(poses: Path, folder: Path, *cut: object) -> SceneDataset:
+    """From recorded poses to scenes by the commands of docs/training-data.md."""
     anchorflow("data", "from-poses", poses, folder / "my.npz", *cut)
     robot = ("--robot-radius", RADIUS)
     anchorflow("data", "import", folder / "my.npz", folder / "data", "--cells", CELLS, *robot)
+    return open_dataset(folder / "data")
+
+
+def student_of(folder: Path) -> Engine:
+    """Train on those scenes, teach a student, export it and open it."""
     anchorflow("train", folder / "data", "--out", folder / "run", *SHORT, *SMALL)
-    checkpoint = folder / "run" / "checkpoint.pt"
-    anchorflow("export", checkpoint, "--out", folder / "bundle", "--refine-steps", 2)
-    return Engine(load_bundle(folder / "bundle"), threads=1)
+    teacher, student = folder / "run" / "checkpoint.pt", folder / "student"
+    anchorflow("distill", teacher, folder / "data", "--out", student, *SHORT, *FEW)
+    checkpoint, bundle = student / "checkpoint.pt", folder / "bundle"
+    anchorflow("export", checkpoint, "--out", bundle, "--refine-steps", 2)
+    return Engine(load_bundle(bundle), threads=1)
 
 
 def write_drive(folder: Path) -> None:
@@ -111,18 +120,22 @@ def assert_served(engine: Engine, folder: Path, *, T: int, D: int) -> None:
     assert f"expected shape [{3 * D}]" in refused.json()["error"]["message"]
 
 
-def test_recorded_poses_become_a_served_bundle(tmp_path: Path) -> None:
+def test_recorded_poses_become_a_served_student(tmp_path: Path) -> None:
+    """Of 20 time steps, which are no multiple of what a token of the network covers."""
     (tmp_path / "poses").mkdir()
     write_drive(tmp_path / "poses")
-    engine = bundle_of(tmp_path / "poses", tmp_path, "--steps", 20, "--stride", 4, "--heading")
+    data_of(tmp_path / "poses", tmp_path, "--steps", 20, "--stride", 4, "--heading")
+    engine = student_of(tmp_path)
     assert_served(engine, tmp_path, T=20, D=3)
+    sampler, training = engine.card.ode, engine.card.training
+    assert (sampler.method, sampler.schedule) == ("euler", (0.0, 0.8, 1.0))
+    assert training["config"]["method"] == "direct"
+    assert len(training["teacher"]["sha256"]) == 64
 
 
-def test_a_real_drive_becomes_a_served_bundle(
-    tmp_path: Path, shared_data: Callable[[str], Path]
-) -> None:
+def test_a_real_drive_becomes_scenes(tmp_path: Path, shared_data: Callable[[str], Path]) -> None:
     """A drive in the plane, at the speeds and distances of a car."""
-    poses = shared_data("kitti_00_poses.txt")
-    engine = bundle_of(poses, tmp_path, "--stride", 50)
-    assert engine.card.cost_map.limits.v_max > 10.0
-    assert_served(engine, tmp_path, T=45, D=2)
+    scenes = data_of(shared_data("kitti_00_poses.txt"), tmp_path, "--stride", 50)
+    assert scenes.limits.v_max > 10.0
+    assert scenes.meta["robot_radius"] == RADIUS
+    assert scenes.arrays["states"].shape[2:] == (45, 6)

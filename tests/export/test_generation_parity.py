@@ -22,14 +22,16 @@ def client(exported: Callable[[str], Any]) -> LocalClient:
     return LocalClient.of(exported("flowmp").path, threads=1)
 
 
-@pytest.mark.parametrize("project", [False, True], ids=["drawn", "projected"])
 @pytest.mark.parametrize(
-    "limits", [{}, {"horizon_s": 9.0}, {"v_max": 0.6, "a_max": 0.8}], ids=["open", "fixed", "slow"]
-)
-@pytest.mark.parametrize(
-    "warm",
-    [None, {"trajectory": PLAN, "tau": 0.7}, {"trajectory": PLAN, "tau": 0.7, "dt": 0.25}],
-    ids=["cold", "warm", "warm by dt"],
+    ("warm", "limits", "project"),
+    [
+        (None, {}, False),
+        (None, {"v_max": 0.6, "a_max": 0.8}, True),
+        ({"trajectory": PLAN, "tau": 0.7}, {"horizon_s": 9.0}, False),
+        ({"trajectory": PLAN, "tau": 0.7}, {}, True),
+        ({"trajectory": PLAN, "tau": 0.7, "dt": 0.25}, {"v_max": 0.6, "a_max": 0.8}, False),
+    ],
+    ids=["open", "slow, projected", "warm, fixed", "warm, projected", "warm by dt, slow"],
 )
 def test_generator_and_engine_agree_from_a_seed(
     warm: dict[str, Any] | None,

@@ -28,13 +28,13 @@ from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_trajectory.motion import MotionLimits
 
-# Every option of the small preset that the published planner lacks.
+# Every option of the small preset that the published planner lacks but `driven`, whose rollout is
+# half of a graph's operations: WoTE's bundle proves it.
 DIFFUSION = replace(
     TINY,
     backbone=replace(TINY.backbone, lidar_before=True),
     encounters=TINY.footprint,
     ground_sight=True,
-    driven=True,
     direction=True,
     imitation=0.1,
     pessimistic=True,
@@ -50,7 +50,7 @@ GOALFLOW = GoalFlowConfig(
     layers=1,
     outcomes=True,
 )
-# Of two sweeps of the LiDAR; "wote" has one.
+# Of two sweeps of the LiDAR.
 WOTE = replace(
     tiny_wote.TINY,
     kept=5,
@@ -93,18 +93,10 @@ def small_goalflow() -> nn.Module:
 NETWORKS: dict[str, Callable[[], Any]] = {
     "flowmp": lambda: untaught(num_steps=24, num_control_points=12),
     "flowmp-unet": lambda: untaught(
-        backbone="unet", num_steps=45, map_attention=True, map_lookup=False
-    ),
-    "flowmp-transformer": lambda: untaught(
-        num_steps=45,
-        steps_per_token=4,
-        map_attention=True,
-        map_scales=2,
-        feature_channels=0,
+        backbone="unet", num_steps=45, map_attention=True, map_lookup=False, map_scales=2
     ),
     "goalflow": small_goalflow,
-    "wote": tiny_wote.tiny_wote,
-    "wote-driven": lambda: tiny_wote.tiny_wote(WOTE),
+    "wote": lambda: tiny_wote.tiny_wote(WOTE),
     "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
     "v2x_vlm": lambda: small_v2x(pooled_columns=2),
 }

@@ -96,7 +96,7 @@ def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
 
 
 def wote_planner(factory: pytest.TempPathFactory) -> Planner:
-    made = export_once("wote-driven", factory)
+    made = export_once("wote", factory)
     assert max(part.error for part in made.differences) <= 1e-5
     extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before",)
     return Planner(made.path, wote_scene, extras, "vocabulary", 8, optional)
