@@ -114,37 +114,63 @@ class Crowd:
                     self.failures.append(error)
 
 
-def test_workers_that_are_killed_are_replaced_and_no_request_fails(
-    start: Callable[..., Served], replacement: Callable[[Served, set[int]], int], until: Any
+def counted(url: str) -> float:
+    """Return the number of answered planning requests in the metrics of one worker."""
+    with urllib.request.urlopen(f"{url}/metrics", timeout=20) as answer:
+        lines = answer.read().decode().splitlines()
+    labels = '{model="flowmp-small",outcome="ok",transport="http"}'
+    return sum(float(line.split()[-1]) for line in lines if f"requests_total{labels}" in line)
+
+
+def assert_one_worker_is_expected(url: str) -> None:
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        urllib.request.urlopen(urllib.request.Request(url, data=b"{}"), timeout=20)
+    with caught.value as answer:
+        error = RequestError.from_dict(json.load(answer))
+    assert isinstance(error, InvalidRequest)
+    assert "expected a service of one worker: this one has several" in error.message
+
+
+def test_two_workers_from_their_start_to_the_loss_of_their_supervisor(
+    start: Callable[..., Served],
+    replacement: Callable[[Served, set[int]], int],
+    until: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
-    served = start()
-    first, second = sorted(workers_of(served))
-    crowd = Crowd(served.url)
-    until(crowd.has_more(10))
-
-    os.kill(first, signal.SIGKILL)
-    third = replacement(served, {first, second})
-    os.kill(second, signal.SIGKILL)  # from now on only a worker that came later can answer
-    fourth = replacement(served, {first, second, third})
-    until(crowd.has_more(20))
-    crowd.stop()
-
-    assert crowd.failures == []
-    assert workers_of(served) == {third, fourth}
-    assert served.ended(signal.SIGTERM) == (0, [])
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_ends_all_of_them(start: Callable[..., Served], number: signal.Signals) -> None:
-    served = start()
-    workers = workers_of(served)
+    """They count together, keep their models, and those that are lost are replaced unnoticed."""
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    served = start("--drain-s", "3e6")
+    known = workers_of(served)
     assert served.line.startswith("flowmp-small ")
     assert served.line.endswith("), 2 workers")
-    assert len(workers) == 2
+    first, second = sorted(known)
+    for action in ("load", "unload"):
+        assert_one_worker_is_expected(f"{served.url}/v2/repository/models/flowmp-small/{action}")
+    for _ in range(12):  # a connection each, so that both workers are asked
+        with AnchorClient(served.url) as client:
+            client.plan_request(REQUEST)
+    assert [counted(served.url) for _ in range(8)] == [12.0] * 8
 
-    assert served.ended(number) == (0, [])
-    assert all(map(is_gone, workers))
-    assert not AnchorClient(served.url).live()
+    os.kill(first, signal.SIGTERM)  # a new bundle is rolled out like this
+    third = replacement(served, known)
+    assert counted(served.url) == 12.0
+
+    shutil.rmtree(next(tmp_path.glob("anchorflow-metrics-*")))  # it is made anew
+    crowd = Crowd(served.url)
+    until(crowd.has_more(10))
+    os.kill(second, signal.SIGKILL)
+    fourth = replacement(served, {first, second, third})
+    os.kill(third, signal.SIGKILL)  # from now on only a worker that came later can answer
+    fifth = replacement(served, {first, second, third, fourth})
+    until(crowd.has_more(20))
+    crowd.stop()
+    assert crowd.failures == []
+    assert workers_of(served) == {fourth, fifth}
+    assert 20 <= counted(served.url) <= crowd.answers
+
+    served.process.kill()
+    until(lambda: all(map(is_gone, (fourth, fifth))))
 
 
 def test_a_signal_to_every_process_is_one_signal(start: Callable[..., Served], until: Any) -> None:
@@ -162,15 +188,8 @@ def test_a_signal_to_every_process_is_one_signal(start: Callable[..., Served], u
         assert workers_of(served) == workers
         assert client.plan_request(REQUEST).model.name == "flowmp-small"
     assert served.ended() == (0, [])
-
-
-def test_workers_do_not_outlive_their_supervisor(start: Callable[..., Served], until: Any) -> None:
-    served = start()
-    workers = workers_of(served)
-
-    served.process.kill()
-
-    until(lambda: all(map(is_gone, workers)))
+    assert all(map(is_gone, workers))
+    assert not AnchorClient(served.url).live()
 
 
 def test_a_worker_that_cannot_be_replaced_is_tried_again_while_another_serves(
@@ -191,7 +210,7 @@ def test_a_worker_that_cannot_be_replaced_is_tried_again_while_another_serves(
         assert client.plan_request(REQUEST).model.name == "flowmp-small"
 
     manifest.write_bytes(whole)
-    assert served.ended(signal.SIGTERM)[0] == 0
+    assert served.ended(signal.SIGINT)[0] == 0
 
 
 def test_workers_that_cannot_start_end_the_command(
@@ -203,58 +222,6 @@ def test_workers_that_cannot_start_end_the_command(
     assert (code, served.line) == (1, "")
     assert f"a worker cannot start: {tmp_path}/manifest.json: cannot be read" in lines[0]
     assert lines[-1] == "anchorflow serve: a worker cannot start"
-
-
-def counted(url: str) -> float:
-    """Return the number of answered planning requests in the metrics of one worker."""
-    with urllib.request.urlopen(f"{url}/metrics", timeout=20) as answer:
-        lines = answer.read().decode().splitlines()
-    labels = '{model="flowmp-small",outcome="ok",transport="http"}'
-    return sum(float(line.split()[-1]) for line in lines if f"requests_total{labels}" in line)
-
-
-def test_workers_keep_their_models_and_count_together(
-    start: Callable[..., Served], replacement: Callable[[Served, set[int]], int]
-) -> None:
-    served = start("--drain-s", "3e6")
-    before = workers_of(served)
-    for action in ("load", "unload"):
-        url = f"{served.url}/v2/repository/models/flowmp-small/{action}"
-        with pytest.raises(urllib.error.HTTPError) as caught:
-            urllib.request.urlopen(urllib.request.Request(url, data=b"{}"), timeout=20)
-        with caught.value as answer:
-            error = RequestError.from_dict(json.load(answer))
-        assert isinstance(error, InvalidRequest)
-        assert "expected a service of one worker: this one has several" in error.message
-    for _ in range(12):  # a connection each, so that both workers are asked
-        with AnchorClient(served.url) as client:
-            client.plan_request(REQUEST)
-
-    assert [counted(served.url) for _ in range(8)] == [12.0] * 8
-
-    os.kill(min(before), signal.SIGTERM)  # a new bundle is rolled out like this
-    replacement(served, before)
-    assert counted(served.url) == 12.0
-
-
-def test_a_folder_of_counts_that_is_cleared_away_is_made_anew(
-    start: Callable[..., Served],
-    replacement: Callable[[Served, set[int]], int],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    served = start()
-    before = workers_of(served)
-    shutil.rmtree(next(tmp_path.glob("anchorflow-metrics-*")))
-
-    for pid in sorted(before):
-        os.kill(pid, signal.SIGKILL)
-        before.add(replacement(served, before))
-    with AnchorClient(served.url) as client:
-        client.plan_request(REQUEST)
-
-    assert counted(served.url) == 1.0
 
 
 def test_threads_are_shared_out_unless_they_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
