@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
 from command_line import failure, succeed
 
 from anchorflow_benchmarks.options import STUDENT
-from anchorflow_benchmarks.programs import served
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 
 
@@ -102,7 +103,24 @@ def test_what_cannot_be_measured_is_one_line(
     assert message in failure("bench", *arguments, "--out", tmp_path)
 
 
+class DefaultCards(BaseHTTPRequestHandler):
+    """A server of the default bundle, as far as its cards tell."""
+
+    def do_GET(self) -> None:
+        models = [load_bundle(DEFAULT_BUNDLE).card.to_dict() | {"ready": True}]
+        body = json.dumps({"models": models}).encode()
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+
+@pytest.mark.usefixtures("capfd")  # the server's log
 def test_a_server_of_another_model_is_not_compared() -> None:
-    with served() as url:
+    with HTTPServer(("127.0.0.1", 0), DefaultCards) as server:
+        thread = threading.Thread(target=server.handle_request)
+        thread.start()
+        url = f"http://127.0.0.1:{server.server_port}"
         said = failure("bench", "load", "--url", url, "--bundle", STUDENT)
+        thread.join(20)
     assert "expected a server of flowmp-small-student" in said

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.closed_loop.contest import Contender, ContestConfig, run_contest
-from anchorflow_benchmarks.closed_loop.drive import DriveConfig, End, Run
-from anchorflow_benchmarks.closed_loop.mppi import MppiConfig
+from anchorflow_benchmarks.closed_loop.drive import End, Run
 from anchorflow_benchmarks.closed_loop.results import Result, RunLog, barn_score, contest_tables
-from anchorflow_benchmarks.closed_loop.worlds import World
-from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 
 def run_of(end: End, time_s: float = 10.0) -> Run:
@@ -76,27 +71,6 @@ def test_the_seeds_of_a_world_count_as_one() -> None:
 
     assert contenders.rows[1]["gain"] == pytest.approx(0.25)
     assert worlds.rows == [{"world": "w1", "a": "0.500 collision", "b": "0.500 0.500"}]
-
-
-ALONE = Contender("MPPI", None, 16)
-CONFIG = ContestConfig(
-    bundle=DEFAULT_BUNDLE,
-    mppi=MppiConfig(steps=5),
-    drive=DriveConfig(limit_s=0.2, map_cells=32, map_resolution=0.2),
-)
-
-
-def test_what_is_known_is_not_driven_again(tmp_path: Path, world: Callable[..., World]) -> None:
-    log = RunLog(tmp_path / "runs.jsonl", {"robot": "unicycle"})
-    known = Result("MPPI", "one", 0, 6.0, Run(End.COLLISION, 3.0, -0.01, 4.0, 0), (60.0,))
-    log.known()
-    log.add(known)
-    worlds = [world(name="one"), world(name="two")]
-    results = run_contest([ALONE], worlds, CONFIG, log=log)
-
-    assert results[0] == known
-    assert results[1].run.end is End.TIMEOUT
-    assert log.known() == {("MPPI", r.world, 0): r for r in results}
 
 
 def test_runs_of_other_settings_are_refused(tmp_path: Path) -> None:
