@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import threading
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from anchorflow_client import (
-    STYLES,
     AnchorBatch,
     AnchorClient,
     DeadlineExceeded,
     InvalidRequest,
-    JsonCodec,
 )
 from anchorflow_service.http.schemas import AnchorAnswerBody, ModelsBody
 
@@ -24,47 +21,6 @@ from anchorflow_service.http.schemas import AnchorAnswerBody, ModelsBody
 @pytest.fixture
 def client(service: Any) -> AnchorClient:
     return AnchorClient("http://test", transport=service)
-
-
-@pytest.fixture
-def free_client(free: Any) -> AnchorClient:
-    """A client of the model whose anchors have their own durations."""
-    return AnchorClient("http://test", transport=free, codec=JsonCodec())
-
-
-@pytest.mark.parametrize("scenes", [(), (3,)])
-def test_own_durations_come_with_every_anchor(
-    free_client: AnchorClient, free_engine: Any, fields: dict[str, Any], scenes: tuple[int, ...]
-) -> None:
-    fields["x_goal"] = np.broadcast_to(fields["x_goal"], (*scenes, 4))
-
-    anchors = free_client.plan(**fields)
-
-    assert anchors.durations.shape == (*scenes, 4)
-    np.testing.assert_array_equal(anchors.dt, free_engine.plan(free_engine.seen[0]).dt)
-    assert len(np.unique(anchors.durations)) == anchors.durations.size
-
-
-def test_a_horizon_makes_them_alike(free_client: AnchorClient, fields: dict[str, Any]) -> None:
-    anchors = free_client.plan(**fields, horizon_s=30.0)
-
-    assert anchors.dt == 2.0
-    np.testing.assert_array_equal(anchors.durations, [30.0] * 4)
-
-
-def test_a_style_may_be_named(service: Any, engine: Any, fields: dict[str, Any]) -> None:
-    """A raw request, because the client replaces the name by its weights."""
-    assert service.post(fields | {"w_style": "comfortable"}).status_code == 200
-    np.testing.assert_array_equal(engine.seen[-1].w_style, [STYLES["comfortable"]])
-
-    refused = service.post(fields | {"w_style": "fast"})
-    assert refused.status_code == 422
-    assert refused.json()["error"] == {
-        "code": "invalid_request",
-        "message": "w_style: expected weights [3] or [B,3], or one of conservative, balanced, "
-        "efficient, comfortable, got the string 'fast'",
-        "field": "w_style",
-    }
 
 
 @pytest.mark.parametrize("num_scenes", [1, 3])
@@ -83,17 +39,6 @@ def test_a_batch_has_one_and_each_scene_is_planned_as_if_alone(
         alone = client.plan(**fields)
         assert alone.scores.shape == (4,)
         np.testing.assert_array_equal(together.trajectories[b], alone.trajectories)
-
-
-def test_the_engine_gets_a_request_with_nothing_left_open(
-    client: AnchorClient, engine: Any, fields: dict[str, Any]
-) -> None:
-    anchors = client.plan(**fields | {"seed": None, "robot_radius": 0.4})
-
-    request = engine.seen[0]
-    assert request.limits == replace(engine.card.cost_map.limits, robot_radius=0.4)
-    assert (request.sampler, request.refine) == (engine.card.sampler, engine.card.finish)
-    assert request.seed == anchors.seed
 
 
 def test_the_request_id_is_echoed(service: Any, fields: dict[str, Any]) -> None:

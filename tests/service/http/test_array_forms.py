@@ -129,13 +129,3 @@ def test_the_client_decodes_no_picture() -> None:
     with pytest.raises(InvalidRequest, match=r"got a PNG, which a service decodes") as caught:
         CostMap.build(png(GRID), 0.5)
     assert caught.value.field == "cost_map.data.png"
-
-
-def test_a_service_answers_both_forms_alike(service: Any, fields: dict[str, Any]) -> None:
-    answers = []
-    for data in (png(GRID), (GRID[None].astype(np.float32) / np.float32(255)).tolist()):
-        body = fields | {"cost_map": {"data": data, "resolution": 0.5}, "seed": 1}
-        came = service.post(body)
-        assert came.status_code == 200, came.text
-        answers.append(came.json()["trajectories"])
-    assert answers[0] == answers[1]

@@ -19,7 +19,6 @@ from anchorflow_client import (
     OipCodec,
     Payload,
 )
-from anchorflow_client.oip_message import pack
 
 CODEC = OipCodec()
 LENGTH = "Inference-Header-Content-Length"
@@ -34,28 +33,6 @@ def post(service: Any, payload: Payload, length: str | None = None) -> Any:
     length = str(payload.header_length) if length is None else length
     headers = {"Content-Type": "application/octet-stream"} | ({LENGTH: length} if length else {})
     return service.request("POST", "/anchors", headers=headers, content=payload.body)
-
-
-@pytest.mark.parametrize("num_scenes", [1, 2])
-def test_a_geometry_of_rows_has_one_for_every_scene(
-    service: Any, fields: dict[str, Any], num_scenes: int
-) -> None:
-    geometry = np.array([-5.0, -4.0, fields["cost_map"]["resolution"]])
-    tensors = {
-        "x_curr": np.array(fields["x_curr"], float),
-        "x_goal": np.array([fields["x_goal"]] * num_scenes, float),
-        "cost_map": np.array(fields["cost_map"]["data"], np.float32),
-    }
-
-    def asked(geometry: np.ndarray) -> Any:
-        return post(service, pack({}, "inputs", tensors | {"map_geometry": geometry}))
-
-    assert asked(geometry).status_code == 200
-    assert asked(np.tile(geometry, (num_scenes, 1))).status_code == 200
-    error = asked(np.tile(geometry, (3, 1))).json()["error"]
-    assert error["field"] == "map_geometry"
-    words = f"expected shape [3] or [{num_scenes},3], a row for every scene, got [3, 3]"
-    assert words in error["message"]
 
 
 def test_an_answer_says_where_its_tensors_begin(service: Any, fields: dict[str, Any]) -> None:
@@ -111,7 +88,7 @@ def test_no_mutated_body_is_a_failure_of_the_service(
     mutated: Callable[[Payload, np.random.Generator], Payload],
 ) -> None:
     """ANCHORFLOW_MUTATIONS sets how many; a hundred thousand take a few minutes."""
-    count = int(os.environ.get("ANCHORFLOW_MUTATIONS", "2000"))
+    count = int(os.environ.get("ANCHORFLOW_MUTATIONS", "500"))
     good = CODEC.encode_request(AnchorRequest.from_fields(fields))
     generator = np.random.default_rng(count)
     statuses: Counter[int] = Counter()

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, strategies as st
 
 from anchorflow_service.http.connections import (
-    RESERVE,
     ConnectionLimits,
     ConnectionSlots,
     source_of,
@@ -39,58 +38,6 @@ class Slots(ConnectionSlots):
         if busy:
             self.mark_busy(connection)
         return connection
-
-
-def test_the_connection_that_has_been_idle_longest_is_closed() -> None:
-    slots = Slots(max_per_address=3)
-    x, y, z = (slots.open() for _ in range(3))
-    slots.mark_busy(x)
-    slots.mark_idle(x)  # it has been idle only since now
-
-    for closed in (y, z, x):
-        assert not closed.is_closed
-        assert slots.open().has_slot
-        assert closed.is_closed
-
-
-def test_no_connection_with_a_request_is_closed() -> None:
-    slots = Slots(max_per_address=3)
-    busy = [slots.open(busy=True) for _ in range(3)]
-    reserve = [slots.open("b") for _ in range(RESERVE)]
-    for each in reserve[1:]:
-        slots.mark_busy(each)
-
-    assert not any(each.has_slot for each in reserve)
-    slots.open("b", busy=True)
-    assert reserve[0].is_closed  # the only idle one in the reserve
-    slots.open("b")
-    assert reserve[1].is_closed  # all have a request: the oldest of the reserve
-    assert not any(each.is_closed for each in busy)
-
-
-def test_an_address_with_its_share_closes_its_own_connections() -> None:
-    slots = Slots()
-    other = slots.open("b")
-    x, y = slots.open("a"), slots.open("a")
-
-    assert slots.open("a", busy=True).has_slot
-    assert x.is_closed
-    slots.mark_busy(y)
-    assert not slots.open("a").has_slot  # though `other` has been idle longer
-    assert not other.is_closed
-    assert slots.open("c").has_slot
-    assert other.is_closed
-
-
-def test_a_connection_that_leaves_frees_its_slot_and_share() -> None:
-    slots = Slots(1, 1)
-    x = slots.open(busy=True)
-    slots.leave(x)
-    slots.leave(x)
-    slots.mark_idle(x)
-
-    assert slots.open().has_slot
-    assert not x.is_closed
 
 
 def test_without_an_address_there_is_no_share() -> None:

@@ -49,10 +49,11 @@ def plan(client: BaseClient, place: np.ndarray, **changes: Any) -> AnchorBatch:
     )
 
 
-@pytest.mark.parametrize("corner", [0.0, -5.12], ids=["from the corner", "centred"])
-@pytest.mark.parametrize("warm", [False, True])
+@pytest.mark.parametrize(
+    ("corner", "warm"), [(0.0, False), (-5.12, True)], ids=["from the corner", "centred, warm"]
+)
 def test_the_same_scene_in_utm_coordinates_is_answered_as_at_home(
-    client: BaseClient, corner: float, *, warm: bool
+    client: BaseClient, corner: float, warm: bool
 ) -> None:
     def asked_at(place: np.ndarray) -> AnchorBatch:
         line = place + np.round(np.linspace(START, GOAL, 20), 3)

@@ -12,11 +12,6 @@ from anchorflow_client import AnchorClient
 from anchorflow_client.contract.fields import REQUEST
 
 
-def test_health(service: Any) -> None:
-    assert service.request("GET", "/v2/health/live").json() == {"live": True}
-    assert service.request("GET", "/v2/health/ready").json() == {"ready": True}
-
-
 def test_outside_its_lifespan_it_lives_but_is_not_ready(app: FastAPI) -> None:
     async def ask() -> list[httpx.Response]:
         transport = httpx.ASGITransport(app=app)
@@ -28,14 +23,6 @@ def test_outside_its_lifespan_it_lives_but_is_not_ready(app: FastAPI) -> None:
     assert live.status_code == 200
     assert ready.status_code == 503
     assert ready.json()["error"]["code"] == "not_ready"
-
-
-def test_it_says_what_it_is(service: Any) -> None:
-    answer = service.request("GET", "/v2").json()
-
-    assert answer["name"] == "anchorflow"
-    assert isinstance(answer["version"], str)
-    assert answer["extensions"] == ["binary_tensor_data", "model_repository"]
 
 
 def test_cards_come_with_the_default_first(service: Any, engine: Any) -> None:
