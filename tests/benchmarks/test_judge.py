@@ -17,10 +17,8 @@ from anchorflow_benchmarks.grid_path import grid_path
 from anchorflow_benchmarks.judge import (
     SceneJudge,
     count_classes,
-    count_distinct,
     duplicate_share,
     least_duration,
-    points_along,
     swept_angles,
 )
 from anchorflow_benchmarks.planners import Proposals, limits_of
@@ -194,17 +192,6 @@ def test_ways_on_both_sides_are_two_classes() -> None:
     assert count_classes(paths, np.empty((0, 2))) == 1
 
 
-def test_points_along_follow_the_path_and_keep_both_ends() -> None:
-    paths = np.array([[[0.0, 0], [1.0, 0], [1.0, 1.0]], [[5.0, 5], [5.0, 5], [5.0, 5]]])
-    points, first = points_along(paths, 0.3)
-
-    assert first.tolist() == [0, 8]
-    np.testing.assert_allclose(points[[0, 7]], paths[0, [0, 2]])
-    on_path = (points[:8, 1] == 0) | (np.abs(points[:8, 0] - 1) < 1e-12)
-    assert on_path.all()
-    np.testing.assert_array_equal(points[8:], 5.0)
-
-
 def test_duplicates_are_two_centimetres_apart() -> None:
     path = np.zeros((4, 64, 2))
     path[1] += 0.0139  # 1.97 cm
@@ -268,14 +255,6 @@ def test_a_scene_without_a_route_counts_nowhere(scene: SceneMaker, limits: Motio
 
     assert verdict.routes == 0
     assert np.isnan([verdict.measures[n] for n in ("recall", "first", "found", "distinct")]).all()
-
-
-def test_of_two_near_ones_the_later_is_dropped() -> None:
-    paths = np.zeros((5, 64, 2))
-    paths[:, :, 1] = np.array([0.0, 0.09, 0.18, 0.11, 0.29])[:, None]
-
-    assert count_distinct(paths) == 3  # 0, 0.18, 0.29: each is compared with those kept alone
-    assert count_distinct(paths[:0]) == 0
 
 
 def test_a_file_of_routes_is_read_scene_by_scene(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.report import Cell, Report, ResultTable, circumstances, formatted
+from anchorflow_benchmarks.report import Cell, Report, ResultTable, formatted
 
 TABLE = ResultTable(
     "Speed", [{"who": "a", "ms": 1.23456, "N": 3}, {"who": "b", "ms": float("nan"), "N": None}]
@@ -60,14 +60,6 @@ def test_both_files_say_first_what_was_typed(
     assert of_markdown.read_text().splitlines()[2:4] == [f"- command: {command}", "- commit: abc"]
 
 
-def test_a_wide_table_is_not_squeezed(capsys: pytest.CaptureFixture[str]) -> None:
-    wide = ResultTable("Wide", [{f"a long name {k}": 1.0 for k in range(20)}])
-    Report("Wide", {}, [wide]).show()
-
-    heading = capsys.readouterr().out.splitlines()[2]
-    assert all(f"a long name {k}" in heading for k in range(20))
-
-
 def test_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
     name = "a[red]b[/c]:car:"
     table = ResultTable(f"of {name}", [{name: 1, "bundle": f"its {name}"}], f"beside {name}")
@@ -85,7 +77,3 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BenchmarkError, match="file"):
         Report("Speed", {}, [TABLE]).write(tmp_path / "file")
-
-
-def test_the_circumstances_say_when_and_on_what() -> None:
-    assert {"date", "commit", "machine", "load", "versions"} == set(circumstances())

@@ -16,7 +16,6 @@ from command_line import failure, succeed
 from PIL import Image
 from ros_maps import write_map
 
-from anchorflow_cli.plots import durations_text
 from anchorflow_client.contract import STYLES, AnchorBatch, AnchorRequest, GoalTolerance, ModelId
 from anchorflow_service.local import LocalClient
 
@@ -263,28 +262,6 @@ def duration_row(printed: str) -> list[str]:
     """Return the figures in the table's row of durations."""
     (line,) = [line for line in printed.splitlines() if "duration (s)" in line]
     return re.findall(r"\d+\.\d+", line)
-
-
-@pytest.mark.parametrize(
-    ("dt", "told"),
-    [
-        (np.array([0.1, 0.2, 0.3]) / 3, "0.1 to 0.2 s"),  # the third is not safe
-        (0.1 / 3, "0.1 s"),
-    ],
-)
-def test_a_picture_tells_how_long_anchors_last(dt: float | np.ndarray, told: str) -> None:
-    zeros = np.zeros((3, 4, 2))
-    safe = np.array([True, True, False])
-    names = ("trajectories", "velocities", "accelerations")
-    batch = AnchorBatch(
-        arrays=dict.fromkeys(names, zeros) | {"safe": safe},
-        dt=dt,
-        seed=0,
-        model=ModelId("m", "1", ""),
-        timing_ms={},
-    )
-
-    assert durations_text(batch) == told
 
 
 @pytest.mark.parametrize("name", ["plot.bmp", "plot", "plot.png.pdf"])

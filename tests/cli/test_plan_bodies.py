@@ -13,7 +13,6 @@ from PIL import Image
 from ros_maps import write_map
 
 from anchorflow_cli import body_plots
-from anchorflow_cli.body_plots import cusps, gears_of, turns
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, GoalTolerance, ModelId
 from anchorflow_client.contract.body import Kinematics
 from anchorflow_service.local import LocalClient
@@ -181,15 +180,3 @@ def test_the_outline_is_drawn_along_the_best_anchor(
         pixels = np.asarray(image.convert("RGB")).reshape(-1, 3).astype(int)
     mark = [int(body_plots.ON_SPOT[k : k + 2], 16) for k in (1, 3, 5)]
     assert (np.abs(pixels - mark).max(1) < 30).sum() > 50
-
-
-def test_gears_cusps_and_turns_of_a_way() -> None:
-    poses, rates = back_and_forth(np.zeros(2))
-    gears = gears_of(poses, rates)
-    np.testing.assert_array_equal(gears, np.repeat([-1, 0, 1], [20, 20, 24]))
-    assert cusps(gears).size == 0
-    assert cusps(gears[gears != 0]).tolist() == [19]
-    assert turns(gears).tolist() == [20]
-    at_rest = np.zeros((5, 3))
-    assert gears_of(at_rest, at_rest).tolist() == [1] * 5
-    assert not turns(np.ones(5, np.int64)).size

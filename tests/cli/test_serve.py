@@ -62,7 +62,7 @@ def start(serve: Callable[..., Served]) -> Callable[..., Served]:
     return partial(serve, program=PROGRAM)
 
 
-def status(url: str, *, token: str | None = None, context: ssl.SSLContext | None = None) -> int:
+def status(url: str, *, context: ssl.SSLContext, token: str | None = None) -> int:
     headers = {"Authorization": f"Bearer {token}"} if token else {}
     request = urllib.request.Request(url, headers=headers)
     try:
@@ -73,16 +73,24 @@ def status(url: str, *, token: str | None = None, context: ssl.SSLContext | None
             return error.code
 
 
-def test_tokens_and_a_log_for_machines(start: Callable[..., Served], tmp_path: Path) -> None:
-    file = tmp_path / "tokens"
+def test_tls_tokens_and_a_log_for_machines(start: Callable[..., Served], tmp_path: Path) -> None:
+    authority = trustme.CA()
+    signed = authority.issue_cert("127.0.0.1")
+    file, *paths = (tmp_path / name for name in ("tokens", "ca.pem", "cert.pem", "key.pem"))
+    authority.cert_pem.write_to_path(paths[0])
+    signed.cert_chain_pems[0].write_to_path(paths[1])
+    signed.private_key_pem.write_to_path(paths[2])
+    context = ssl.create_default_context(cafile=str(paths[0]))
     file.write_text(token_line("robot-7", ("infer",), "secret"))
     options = ("--tokens", str(file), "--log-format", "json", "--log-level", "info")
-    served = start(*options, "--drain-s", "1")
+    tls = ("--tls-cert", str(paths[1]), "--tls-key", str(paths[2]))
+    served = start(*options, *tls, "--drain-s", "1")
     url = served.url
 
-    assert status(f"{url}/v2/health/ready") == 200
-    assert status(f"{url}/v2") == 401
-    assert status(f"{url}/v2", token="secret") == 200
+    assert url.startswith("https://127.0.0.1:")
+    assert status(f"{url}/v2/health/ready", context=context) == 200
+    assert status(f"{url}/v2", context=context) == 401
+    assert status(f"{url}/v2", token="secret", context=context) == 200
 
     code, lines = served.ended(signal.SIGTERM)
     assert code == -signal.SIGTERM
@@ -95,21 +103,6 @@ def test_tokens_and_a_log_for_machines(start: Callable[..., Served], tmp_path: P
     ]
     assert all(each["request_id"] for each in exchanges)
     assert all("secret" not in line for line in lines)
-
-
-def test_tls(start: Callable[..., Served], tmp_path: Path) -> None:
-    authority = trustme.CA()
-    signed = authority.issue_cert("127.0.0.1")
-    paths = {name: tmp_path / f"{name}.pem" for name in ("ca", "cert", "key")}
-    authority.cert_pem.write_to_path(paths["ca"])
-    signed.cert_chain_pems[0].write_to_path(paths["cert"])
-    signed.private_key_pem.write_to_path(paths["key"])
-
-    url = start("--tls-cert", str(paths["cert"]), "--tls-key", str(paths["key"])).url
-
-    assert url.startswith("https://127.0.0.1:")
-    context = ssl.create_default_context(cafile=str(paths["ca"]))
-    assert status(f"{url}/v2/health/live", context=context) == 200
 
 
 def test_an_address_for_all_without_tokens_is_warned_of(start: Callable[..., Served]) -> None:

@@ -159,6 +159,12 @@ def test_a_service_that_requires_a_token_gets_one_and_copies_read_it_from_the_en
 ) -> None:
     visit = open_page(guarded.url)
     expect(visit.locate("#token-form")).to_be_visible(timeout=PATIENCE_MS)
+    # While the page waits for a token, a service that was away is taken up again.
+    guarded.stop()
+    expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+    guarded.start()
+    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(visit.locate("#link-text")).to_have_text("Connecting")
     visit.locate("#token").fill("wrong")
     visit.page.keyboard.press("Enter")
     expect(visit.locate("#token-why")).to_contain_text("a token that is valid here")
@@ -173,6 +179,7 @@ def test_a_service_that_requires_a_token_gets_one_and_copies_read_it_from_the_en
 
     visit.wait_for_anchors()
     expect(visit.locate("#token-form")).to_be_hidden()
+    visit.forget_errors(UNREACHABLE, "status of 503")  # while it starts
     visit.forget_errors("status of 401")
     assert visit.errors == []
     environment = {**os.environ, "ANCHORFLOW_TOKEN": "open sesame"}
@@ -184,25 +191,3 @@ def test_a_service_that_requires_a_token_gets_one_and_copies_read_it_from_the_en
         )
         assert b"trajectories" in told.stdout or b"anchors are safe" in told.stdout
     expect(visit.locate("#scene-note")).to_contain_text("it takes the token from ANCHORFLOW_TOKEN")
-
-
-def test_a_service_that_is_away_while_the_page_waits_for_a_token_is_taken_up_again(
-    open_page: Callable[..., Any], guarded: Any
-) -> None:
-    visit = open_page(guarded.url)
-    expect(visit.locate("#token-form")).to_be_visible(timeout=PATIENCE_MS)
-    guarded.stop()
-    expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
-    guarded.start()
-    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
-    expect(visit.locate("#link-text")).to_have_text("Connecting")
-
-    visit.locate("#token").fill("open sesame")
-    visit.page.keyboard.press("Enter")
-
-    visit.wait_for_anchors()
-    visit.locate("#seed").fill("7")
-    visit.answer(lambda: visit.page.keyboard.press("Tab"), lambda asked: asked["seed"] == 7)
-    visit.forget_errors("status of 401")
-    visit.forget_errors(UNREACHABLE, "status of 503")  # while it starts
-    assert visit.errors == []

@@ -25,7 +25,6 @@ from anchorflow_training.evaluation import (
     sample_picture,
     scores,
 )
-from anchorflow_training.run import without_progress
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, split
 from anchorflow_trajectory.cost.clearance import GridField, clearance_field
@@ -223,13 +222,6 @@ def test_patience_stops_the_run_for_good(
         run.fit()
         assert load_checkpoint(run.checkpoint_path).step == steps
         assert run.stopped == (patience > 0)
-
-
-def test_an_equal_success_is_no_progress() -> None:
-    rows = [{"success": value} for value in (0.1, 0.5, 0.5, 0.5)]
-    assert without_progress(rows, 2)
-    assert not without_progress(rows, 3)
-    assert not without_progress([], 1)
 
 
 def test_each_evaluation_leaves_a_picture_of_as_many_scenes_as_asked(

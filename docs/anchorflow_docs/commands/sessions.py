@@ -187,7 +187,6 @@ QUICK = (
     Session("compiled loops", ("python -m anchorflow_trajectory.warm_up",)),
     Session("a shipped bundle", (f"anchorflow serve --bundle {SHIPPED}/wote", READY)),
     Session("workers", ("anchorflow serve --workers 2", PLAN)),
-    Session("any address", ("anchorflow serve --host 0.0.0.0", PLAN)),
     Session(
         "operations",
         (
@@ -242,6 +241,7 @@ WALKTHROUGH = (
             "python ask_zenoh.py",
         ),
     ),
+    Session("any address", ("anchorflow serve --host 0.0.0.0", PLAN)),
     Session(
         "from C++",
         (

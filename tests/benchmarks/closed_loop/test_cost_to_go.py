@@ -120,13 +120,6 @@ def test_every_tick_rolls_out_the_same_number_of_motions(anchors: int) -> None:
     assert rolled == 32 * 10
 
 
-def test_a_plan_of_longer_steps_passes_tick_by_tick() -> None:
-    mppi = MppiController(Unicycle(), MppiConfig(samples=16, steps=4, dt=0.2), tick_s=0.1)
-    mppi._held.plan = torch.tensor([[1.0, 0.0], [3.0, 0.0], [0.0, 0.0], [2.0, 0.0]])
-    mppi._shift()
-    np.testing.assert_allclose(mppi._held.plan[:, 0].numpy(), [2.0, 1.5, 1.0, 1.0])
-
-
 def fine_grid(occupied: np.ndarray, surface: np.ndarray | None = None) -> ClearanceGrid:
     """Cells of 0.05 m from (-2, -3)."""
     return ClearanceGrid.of(

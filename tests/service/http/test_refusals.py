@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -35,15 +36,12 @@ def refusal(answer: Any, status: int, code: str) -> dict[str, str]:
 IN_JSON = [case for case in BAD_FIELDS if not isinstance(case[1], np.ndarray)]
 
 
-@pytest.mark.parametrize(("path", "value", "words"), IN_JSON)
-def test_a_bad_value_is_refused_by_name(
-    service: Any, fields: dict[str, Any], path: str, value: Any, words: list[str]
-) -> None:
-    error = refusal(service.post(with_value(fields, path, value)), 422, "invalid_request")
-
-    assert error["field"] == path or error["field"].startswith(f"{path}.")
-    assert error["field"] in error["message"]
-    assert [word for word in words if word not in error["message"]] == []
+def test_bad_values_are_refused_by_name(service: Any, fields: dict[str, Any]) -> None:
+    for path, value, words in IN_JSON:
+        wrong = with_value(copy.deepcopy(fields), path, value)
+        error = refusal(service.post(wrong), 422, "invalid_request")
+        assert f"{error['field']}.".startswith(f"{path}."), (path, error)
+        assert all(word in error["message"] for word in (*words, error["field"])), (path, error)
 
 
 @pytest.mark.parametrize(
