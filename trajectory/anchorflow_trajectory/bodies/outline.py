@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
+from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.clearance import clearance_field
 
@@ -51,7 +52,7 @@ class Outline:
         corner = max(radius, 1e-3) / np.cos(np.pi / SIDES)
         return Outline(corner * np.stack([np.cos(angles), np.sin(angles)], 1))
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """m from the origin to the farthest corner."""
         return float(np.hypot(*self.corners.T).max())
@@ -63,7 +64,12 @@ class Outline:
         del edge
         return float((normal * self.corners).sum(1).min())
 
-    @property
+    @cached_property
+    def _made(self) -> dict[tuple[str, float], Any]:
+        """Grown outlines by their margin and rims by their spacing, which a plan needs again."""
+        return {}
+
+    @cached_property
     def _edges(self) -> tuple[FloatArray, FloatArray]:
         """The edges [K, 2] from each corner on, and their outward normals of length 1."""
         edge = np.roll(self.corners, -1, 0) - self.corners
@@ -72,6 +78,11 @@ class Outline:
 
     def grown(self, margin: float) -> Outline:
         """Return the polygon whose edges lie `margin` m farther out."""
+        if (made := self._made.get(("grown", margin))) is None:
+            made = self._made["grown", margin] = self._grown(margin)
+        return made
+
+    def _grown(self, margin: float) -> Outline:
         _, after = self._edges
         before = np.roll(after, 1, 0)
         # Both edges of a corner move: shift it along the sum of their normals.
@@ -80,6 +91,11 @@ class Outline:
 
     def rim(self, spacing: float) -> NDArray[np.float64]:
         """Return points [P, 2] along the edges, corners among them, at most `spacing` m apart."""
+        if (made := self._made.get(("rim", spacing))) is None:
+            made = self._made["rim", spacing] = self._rim(spacing)
+        return made
+
+    def _rim(self, spacing: float) -> NDArray[np.float64]:
         points = []
         for corner, edge in zip(self.corners, self._edges[0], strict=True):
             count = max(1, int(np.ceil(np.hypot(*edge) / spacing)))
