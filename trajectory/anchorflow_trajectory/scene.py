@@ -68,9 +68,6 @@ LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
 TINY = 1e-9  # m/s
-BEND_WAY, LEAST_SHARE = 0.2, 0.6
-"""Parts of v_max^2 / a_max by which a horizon's way is shorter for each rad of a bent route, and the
-share of the way that is left at least."""
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -238,12 +235,9 @@ class Scene:
         else:
             times, begin = [horizon], float(np.linalg.norm(velocity))
             asked = float(np.linalg.norm(goal_velocity))
-            lost = BEND_WAY * motion.v_max**2 / motion.a_max * route.turning(velocity)
-            if motion.most_way(horizon, begin, asked) < route.length + lost:
-                way = route.length + lost + asked**2 / motion.a_max
-                speed = motion.speed_at(way, horizon, begin)
+            if motion.most_way(horizon, begin, asked) < route.length:
+                speed = motion.speed_at(route.length + asked**2 / motion.a_max, horizon, begin)
                 reach = motion.most_way(horizon, begin, speed)
-                reach = min(max(reach - lost, LEAST_SHARE * reach), route.length)
                 goal, ahead = place_along(route.points, reach)
                 goal_velocity = speed * ahead
             slowest = motion.least_speed(horizon, begin)

@@ -64,14 +64,6 @@ class Route:
         """m, the integral of 1 + surcharge."""
         return self.length + self.charge
 
-    def turning(self, velocity: FloatArray) -> float:
-        """Return how far the route bends in all, in rad, for who begins with a velocity [2]."""
-        legs = np.diff(self.points, axis=0)
-        if velocity.any():
-            legs = np.concatenate([velocity[None], legs])
-        heading = np.unwrap(np.arctan2(*legs[legs.any(1)].T[::-1]))
-        return float(np.abs(np.diff(heading)).sum())
-
 
 def find_routes(
     clearance: FloatArray,
