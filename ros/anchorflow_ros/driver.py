@@ -30,6 +30,8 @@ from anchorflow_ros.scene import Scene, SceneReader
 
 Array = NDArray[np.float64]
 
+LEFT = 2.0
+"""Times the goal's tolerance, beyond which a robot that had arrived has been moved away."""
 SLOWEST = 0.3
 """m/s; anchors are planned for no lower limit, the controller drives as slowly as it has to."""
 
@@ -80,7 +82,7 @@ class Driver:
         self._clock = ClockWatch(settings["clock.jump_s"], settings["clock.stands_s"])
         self._now = 0.0
         self._goal: Goal | None = None
-        self._arrived = False
+        self._arrived, self._sent = False, 0
         self._twist = np.zeros(3)
         self._answer: str | None = None
         self._answered_at: float | None = None
@@ -108,8 +110,7 @@ class Driver:
             if self._goal is None and "goal" not in self.inputs.refused:
                 return self._brake(Fault("goal", OK, "none"), idle=True)
             scene = self.inputs.scene(now)
-            self._arrived |= scene.goal_distance <= self.settings["goal.tolerance"]
-            if self._arrived:
+            if self._has_arrived(scene.goal_distance):
                 return self._brake(Fault("goal", OK, "arrived"), idle=True)
             return self._drive(scene, now)
         except Stopped as stopped:
@@ -129,6 +130,19 @@ class Driver:
         if self._goal is not self.inputs.goal:
             self._goal, self._arrived = self.inputs.goal, False
             self._forget_plan()
+
+    def _has_arrived(self, away: float) -> bool:
+        """Whether the robot was `away` m or less from its goal since it was sent.
+
+        The same goal, sent again, starts a robot that has been moved away from it.
+        """
+        tolerance, sent = self.settings["goal.tolerance"], self.inputs.goals_sent
+        if away <= tolerance:
+            self._arrived, self._sent = True, sent
+        elif self._arrived and sent > self._sent and away > LEFT * tolerance:
+            self._arrived = False
+            self._forget_plan()
+        return self._arrived
 
     def _drive(self, scene: Scene, now: float) -> Decision:
         if self._controller.robot is not self.inputs.robot:

@@ -53,6 +53,7 @@ class SceneReader:
     def __init__(self, settings: Settings, frames: Frames) -> None:
         self.maps = MapReader(settings.meaning)
         self.goal: Goal | None = None
+        self.goals_sent = 0
         self.robot: Robot = settings.robot
         """Its body is that of the last footprint message, if there was one."""
         self.speed_limit: float | None = None
@@ -91,6 +92,7 @@ class SceneReader:
         goal = None
         with self._reading("goal"):
             goal = Goal.of(message)
+        self.goals_sent += 1
         if goal is None or not goal.is_at(self.goal):
             self.goal = goal
 

@@ -14,8 +14,9 @@ from rehearsed_robot import TICK_S, Rehearsal, Switched
 
 from anchorflow_ros.driver import Decision, braked
 from anchorflow_ros.faults import ERROR, OK
-from anchorflow_ros.frames import Pose
+from anchorflow_ros.frames import ORIGIN, Pose
 from anchorflow_ros.parameters import Settings
+from anchorflow_ros.simulation import Base
 from anchorflow_service.local import LocalClient
 
 
@@ -54,6 +55,14 @@ def test_a_robot_drives_to_its_goal_and_stands(client: Switched) -> None:
     robot.run(1.0)
     assert math.hypot(robot.base.pose.x - 4.0, robot.base.pose.y) < 0.4
     assert (robot.base.v, robot.base.w) == (0.0, 0.0)
+    robot.go(4.0, 0.0)  # by a publisher that repeats it
+    assert robot.tick().idle
+    # Carried back to the start, it waits for a goal, be it the same.
+    robot.base = Base(ORIGIN)
+    assert robot.tick().idle
+    robot.go(4.0, 0.0)
+    robot.run_until(lambda decision: decision.idle)
+    assert math.hypot(robot.base.pose.x - 4.0, robot.base.pose.y) < 0.4
 
 
 def test_a_robot_drives_where_all_ground_is_inflated(client: Switched) -> None:
