@@ -50,6 +50,10 @@ AlongRoute = Annotated[
     bool,
     typer.Option("--along-route", help="Each bundle drives twice: then by its route."),
 ]
+Guarded = Annotated[
+    bool,
+    typer.Option("--guarded", help="Each bundle drives twice: then with its guard."),
+]
 Record = Annotated[
     bool, typer.Option("--record", help="Put each bundle's figures into its manifest.")
 ]

@@ -28,6 +28,7 @@ from anchorflow_client.contract import (
     CostMapSpec as CostMapSpec,
     EncodedImage as EncodedImage,
     GoalTolerance as GoalTolerance,
+    GuardSpec as GuardSpec,
     LimitsSpec as LimitsSpec,
     ModelCard as ModelCard,
     ModelId as ModelId,

@@ -47,6 +47,7 @@ TYPES = (
     contract.VocabularySpec,
     contract.TruncatedDiffusionSpec,
     contract.RefineSpec,
+    contract.GuardSpec,
     contract.NoFinish,
     contract.TimeSpec,
     contract.AnswerSpec,
@@ -66,6 +67,9 @@ ENTRIES = (
     manifest.TruncatedDiffusionEntry,
     NoiseLevels,
     manifest.SplineEntry,
+    manifest.GuardEntry,
+    manifest.RasterEntry,
+    manifest.AgentsEntry,
     contract.NoFinish,
     contract.TimeSpec,
     contract.AnswerSpec,
@@ -143,8 +147,8 @@ PYTHON = """# Python types
 read-only. A field that is None is left to the model's card. One that says nothing here means what
 it means in [the request](request.md) or [the answer](answer.md). A card's `conditioning` is a
 `CostMapSpec`, a `TensorsSpec` or a `VisionLanguageSpec`, its `sampler` an `OdeSpec`, a
-`VocabularySpec` or a `TruncatedDiffusionSpec`, its `finish` a `RefineSpec` or `NoFinish`; each has
-a `kind`, and a kind that the client does not know is an `UnknownPart`.
+`VocabularySpec` or a `TruncatedDiffusionSpec`, its `finish` a `RefineSpec`, a `GuardSpec` or
+`NoFinish`; each has a `kind`, and a kind that the client does not know is an `UnknownPart`.
 
 {types}
 """

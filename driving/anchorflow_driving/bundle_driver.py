@@ -110,6 +110,13 @@ class BundleDriver:
         other.name = f"{self.name}_along_route"
         return other
 
+    def guarded(self) -> BundleDriver:
+        """Return this driver with the planner's guard, which answers a stop if nothing is safe."""
+        other = copy(self)
+        other._options = {**self._options, "refine": {"guard": True}}
+        other.name = f"{self.name}_guarded"
+        return other
+
     def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
         """Return the best proposal [T, 3]; NaN at times (s) other than PLAN_TIMES."""
         proposals = self.propose(window)

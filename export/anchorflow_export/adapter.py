@@ -26,6 +26,7 @@ from anchorflow_client.contract import (
 from anchorflow_export.tracing import TracedGraph, random_tensor, trace
 from anchorflow_models.torch_graphs import Role
 from anchorflow_service.bundle.manifest import (
+    GuardEntry,
     OdeEntry,
     SplineEntry,
     TruncatedDiffusionEntry,
@@ -78,7 +79,7 @@ class PlannerParts:
     inputs: tuple[TensorSpec, ...]
     conditioning: CostMapSpec | TensorsSpec | VisionLanguageEntry
     sampler: OdeEntry | VocabularySpec | TruncatedDiffusionEntry
-    finish: SplineEntry | NoFinish
+    finish: SplineEntry | GuardEntry | NoFinish
     time: TimeSpec
     answer: AnswerSpec
     files: Mapping[str, tuple[str, bytes]] = field(default_factory=dict)

@@ -4,8 +4,9 @@
 
 compiles what a later process then finds on disk, in two processes at a time where there are two
 cores: all of it, or the stages that are named. `still` is what a scene needs in which nothing
-moves, `moving` what it needs besides, `poses` what bodies on wheels need. The loops of a stage are
-compiled for types of their own, so that a service may answer after the first.
+moves, `moving` what it needs besides, `poses` what bodies on wheels need, `guard` what judges plans
+of cars. The loops of a stage are compiled for types of their own, so that a service may answer
+after the first.
 """
 
 from __future__ import annotations
@@ -39,6 +40,11 @@ from anchorflow_trajectory.finish.bisection import bisect_to_safe
 from anchorflow_trajectory.finish.certificate import are_safe
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.finish.refiner import Refiner
+from anchorflow_trajectory.guard.faults import Perceived, Raster
+from anchorflow_trajectory.guard.guard import Guard
+from anchorflow_trajectory.guard.motion import Car
+from anchorflow_trajectory.guard.raster_boxes import boxes_in
+from anchorflow_trajectory.guard.speeds import boxes_of
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.ode.integrate import drawn
@@ -58,9 +64,14 @@ PROGRAM = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL);"
     "from anchorflow_trajectory.warm_up import main; main(sys.argv[1:])"
 )
-STILL, MOVING, POSES = STAGES = ("still", "moving", "poses")
-USUAL_S = {STILL: 40, MOVING: 40, POSES: 30}  # on two cores
-SUBJECTS = {STILL: "routes and finish", MOVING: "moving obstacles", POSES: "footprints and wheels"}
+STILL, MOVING, POSES, GUARD = STAGES = ("still", "moving", "poses", "guard")
+USUAL_S = {STILL: 40, MOVING: 40, POSES: 30, GUARD: 10}  # on two cores
+SUBJECTS = {
+    STILL: "routes and finish",
+    MOVING: "moving obstacles",
+    POSES: "footprints and wheels",
+    GUARD: "the guard of cars",
+}
 DESCENT, NICED = "--descent", "--niced"
 NICENESS = 10
 CELLS, RESOLUTION = 32, 0.2  # of a map of 6.4 m
@@ -108,7 +119,9 @@ def _compile(stage: str) -> None:
                 SUBJECTS[stage],
                 USUAL_S[stage],
             )
-        if stage == POSES:
+        if stage == GUARD:
+            _run_guard()
+        elif stage == POSES:
             _run_poses()
         else:
             _run_splines(stage, beside=not before)
@@ -143,6 +156,17 @@ def _run_poses() -> None:
             each()
 
     BodyPlanner(BodyScene(scene, body, (0.1, 0.1)), steps=8, run=run).plan(2, 0)
+
+
+def _run_guard() -> None:
+    """Judge a plan among a box of a raster and one without a velocity."""
+    cells = Raster(np.zeros((2, 8, 8), np.float32), (-4.0, 4.0, -4.0, 4.0), step_s=0.5)
+    cells.values[:, 1:3, 1:3] = 1.0
+    boxes, rest = boxes_in(cells)
+    boxes = np.concatenate([boxes, boxes_of(np.array([[3.0, 3.0, 0.0, 2.0, 1.0]]), cells)])
+    times = np.array([1.0, 2.0])
+    guard = Guard(times, Car(2.0, 1.0, 0.5), 0.1, Perceived(cells, boxes, rest), 1.0)
+    guard.with_stop(np.array([[[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]]))
 
 
 @contextmanager

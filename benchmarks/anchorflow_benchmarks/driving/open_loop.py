@@ -342,6 +342,7 @@ def drive(
     ] = ",".join(ENTRIES),
     bundle: options.DrivingBundles = None,
     along_route: options.AlongRoute = False,
+    guarded: options.Guarded = False,
     num: options.Num = 64,
     samplers: options.Samplers = CARD,
     seeds: Annotated[
@@ -362,7 +363,8 @@ def drive(
     asked = samplers.split(",")
     ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
     for driver in ours:
-        ways = (driver, driver.along_route()) if along_route else (driver,)
+        ways = [driver, driver.along_route()] if along_route else [driver]
+        ways += [way.guarded() for way in ways] if guarded else []
         seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
     windows = sum(log.windows for log in found)

@@ -5,6 +5,7 @@ from anchorflow_client.contract.body import Kinematics as Kinematics
 from anchorflow_client.contract.card import (
     AnswerSpec as AnswerSpec,
     CostMapSpec as CostMapSpec,
+    GuardSpec as GuardSpec,
     LimitsSpec as LimitsSpec,
     ModelCard as ModelCard,
     ModelId as ModelId,

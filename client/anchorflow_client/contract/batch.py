@@ -154,7 +154,8 @@ class AnchorBatch:
     @property
     def safe(self) -> NDArray[np.bool_]:
         """[N], whether the path keeps robot_radius and certified_margin from every obstacle,
-        certified_margin from the map's edge, and v_max and a_max."""
+        certified_margin from the map's edge, and v_max and a_max. Of a car with `refine.guard`:
+        whether it can be driven, stays on the perceived road and meets nobody."""
         return self._given("safe")
 
     @property

@@ -185,6 +185,30 @@ class TruncatedDiffusionSpec:
 
 
 @dataclass(frozen=True)
+class GuardSpec:
+    """Anchors of a car are answered as they were sampled or, with `refine.guard`, judged by what
+    the planner perceives; the last of them is then a stop."""
+
+    horizon_s: float = field(metadata=ABOVE_0)
+    """Seconds for which a safe anchor meets nothing; after them a stop on its path is possible."""
+    guard: bool = False
+    """Whether a request is guarded that does not say."""
+    kind: Literal["guard"] = "guard"
+
+    def chosen(self, choice: RefineChoice) -> GuardSpec:
+        """Return this finish as a request chooses it.
+
+        Raises:
+            InvalidRequest: it chooses what only a spline has.
+        """
+        for name in choice.given:
+            if name != "guard":
+                message = "expected none, as anchors of a car are not fitted by splines"
+                raise InvalidRequest(message, f"refine.{name}")
+        return self if choice.guard is None else replace(self, guard=choice.guard)
+
+
+@dataclass(frozen=True)
 class NoFinish:
     """Anchors are answered as they were sampled."""
 
@@ -200,7 +224,7 @@ class UnknownPart:
 
 ConditioningSpec: TypeAlias = CostMapSpec | TensorsSpec | VisionLanguageSpec | UnknownPart
 SamplerSpec: TypeAlias = OdeSpec | VocabularySpec | TruncatedDiffusionSpec | UnknownPart
-FinishSpec: TypeAlias = RefineSpec | NoFinish | UnknownPart
+FinishSpec: TypeAlias = RefineSpec | GuardSpec | NoFinish | UnknownPart
 
 
 def _by_kind(*parts: Any) -> Mapping[str, type]:
@@ -209,7 +233,7 @@ def _by_kind(*parts: Any) -> Mapping[str, type]:
 
 CONDITIONINGS = _by_kind(CostMapSpec, TensorsSpec, VisionLanguageSpec)
 SAMPLERS = _by_kind(OdeSpec, VocabularySpec, TruncatedDiffusionSpec)
-FINISHES = _by_kind(RefineSpec, NoFinish)
+FINISHES = _by_kind(RefineSpec, GuardSpec, NoFinish)
 
 
 def part_of(value: Mapping[str, Any], kinds: Mapping[str, type]) -> Any:

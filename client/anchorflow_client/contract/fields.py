@@ -198,6 +198,10 @@ class RefineChoice(CardChoice):
             "Distance beyond robot_radius that every anchor called safe keeps.", CERTIFIED_MARGIN
         ),
     ] = None
+    guard: Annotated[
+        bool | None,
+        Flag("Say which trajectories of a car are safe, and make the last of them a stop."),
+    ] = None
 
 
 @dataclass(frozen=True, eq=False)

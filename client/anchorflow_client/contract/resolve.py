@@ -11,6 +11,7 @@ from typing import Any
 from anchorflow_client.contract.card import (
     CostMapSpec,
     FinishSpec,
+    GuardSpec,
     LimitsSpec,
     ModelCard,
     OdeSpec,
@@ -169,12 +170,16 @@ def _sampler(request: AnchorRequest, card: ModelCard) -> SamplerSpec:
 def _finish(request: AnchorRequest, card: ModelCard) -> FinishSpec:
     if isinstance(card.finish, RefineSpec):
         asked = request.refine or RefineChoice()
+        if asked.guard is not None:
+            raise _not_chosen(card, "refine.guard", card.finish.kind)
         finish = asked.over(card.finish)
         if asked.smooth is False and (finish.project or finish.barrier):
             moves = "project" if finish.project else "barrier"
             message = f"expected true, or refine.{moves} false: it moves the fitted spline"
             raise InvalidRequest(f"{message}, got false", "refine.smooth")
         return finish
+    if isinstance(card.finish, GuardSpec):
+        return card.finish.chosen(request.refine or RefineChoice())
     if request.refine is not None:
         raise _not_chosen(card, "refine", card.finish.kind)
     return card.finish

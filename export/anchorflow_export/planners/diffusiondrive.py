@@ -9,7 +9,6 @@ import numpy as np
 
 from anchorflow_client.contract import (
     AnswerSpec,
-    NoFinish,
     SamplerChoice,
     TensorSpec,
     TensorsSpec,
@@ -17,7 +16,12 @@ from anchorflow_client.contract import (
     uniform_schedule,
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
-from anchorflow_export.planners.random_requests import perceived, sensor_inputs, sensor_request
+from anchorflow_export.planners.random_requests import (
+    perceived,
+    sensor_guard,
+    sensor_inputs,
+    sensor_request,
+)
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
 from anchorflow_models.sub_scores import SUB_SCORES
@@ -69,7 +73,7 @@ def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> P
                 schedules=tuple(SCHEDULES.values()),
                 steps=config.steps,
             ),
-            finish=NoFinish(),
+            finish=sensor_guard(config.backbone, foretold=bool(config.encounters)),
             time=TimeSpec(steps=POSES, first_s=FIRST_S, dt=STEP_S),
             answer=AnswerSpec(
                 components=COMPONENTS,

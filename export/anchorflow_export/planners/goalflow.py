@@ -7,7 +7,6 @@ from functools import partial
 
 from anchorflow_client.contract import (
     AnswerSpec,
-    NoFinish,
     OdeSpec,
     SamplerChoice,
     TensorSpec,
@@ -18,11 +17,15 @@ from anchorflow_client.contract import (
 from anchorflow_client.sensors import ROUTE_POINTS
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.flowmp import PRIOR_BASIS, TIMES, drawn_states, flow_roles
-from anchorflow_export.planners.random_requests import STATUS_UNIT, street_request
+from anchorflow_export.planners.random_requests import (
+    GUARD_HORIZON_S,
+    STATUS_UNIT,
+    street_request,
+)
 from anchorflow_models.goalflow import BevLayout, GoalFlow
 from anchorflow_models.goalflow.goalflow import STATE, SURROUNDINGS
 from anchorflow_models.torch_graphs import Role
-from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry
+from anchorflow_service.bundle.manifest import GuardEntry, OdeEntry, PriorEntry, RasterEntry
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN
 
 ENCODE_OUTPUTS = (
@@ -64,7 +67,12 @@ def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
                 schedule=sampler.schedule,
                 prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
             ),
-            finish=NoFinish(),
+            finish=GuardEntry(
+                horizon_s=GUARD_HORIZON_S,
+                size=None,
+                road=RasterEntry("drivable", config.bev.extent),
+                occupied=RasterEntry("occupied", config.bev.extent, step_s=config.dt),
+            ),
             time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
             answer=AnswerSpec(
                 components=COMPONENTS,

@@ -20,10 +20,20 @@ from anchorflow_client.sensors import LIDAR_BEFORE_S, ROUTE_POINTS, ROUTE_SPACIN
 from anchorflow_export.adapter import F32, Sizes
 from anchorflow_export.tracing import random_tensor
 from anchorflow_models.goalflow import BevLayout
-from anchorflow_models.transfuser import AGENT_STATE, LIDAR_BEFORE, MOTION, STATUS, TransfuserConfig
+from anchorflow_models.transfuser import (
+    AGENT_STATE,
+    FORETOLD_S,
+    LIDAR_BEFORE,
+    MOTION,
+    STATUS,
+    TransfuserConfig,
+)
+from anchorflow_service.bundle.manifest import AgentsEntry, GuardEntry, RasterEntry
 
 CELLS_A_BLOB = 40  # cells of a map for each square obstacle
 COMMANDS = MOTION.start  # of the ego status
+GUARD_HORIZON_S = 1.5
+NUPLAN_CAR = (5.176, 2.297)  # m, length and width of the car whose sensors these planners take
 FASTEST_STATUS = 60.0  # m/s, and m/s²: bounds of a status
 STATUS_UNIT = (
     "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; acceleration x, y: m/s^2"
@@ -110,6 +120,23 @@ def perceived(backbone: TransfuserConfig, *, agents: int, classes: int) -> tuple
             range=(0.0, 1.0),
             extent=(0.0, reach, -reach, reach),
         ),
+    )
+
+
+def sensor_guard(backbone: TransfuserConfig, *, foretold: bool) -> GuardEntry:
+    """Return a guard by a backbone's perception.
+
+    foretold: whether encode gives what others will take, every FORETOLD_S
+    """
+    reach = backbone.lidar_range
+    ahead = (-reach, reach + backbone.far_range, -reach, reach)
+    taken = RasterEntry("foretold", ahead, first_s=FORETOLD_S, step_s=FORETOLD_S)
+    return GuardEntry(
+        horizon_s=GUARD_HORIZON_S,
+        size=NUPLAN_CAR,
+        road=RasterEntry("bev_semantics", (0.0, reach, -reach, reach), complement_of=0),
+        occupied=taken if foretold else None,
+        agents=AgentsEntry("agents", "agent_scores"),
     )
 
 

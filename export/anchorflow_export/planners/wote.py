@@ -7,14 +7,18 @@ from torch import Tensor, nn
 
 from anchorflow_client.contract import (
     AnswerSpec,
-    NoFinish,
     TensorSpec,
     TensorsSpec,
     TimeSpec,
     VocabularySpec,
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
-from anchorflow_export.planners.random_requests import perceived, sensor_inputs, sensor_request
+from anchorflow_export.planners.random_requests import (
+    perceived,
+    sensor_guard,
+    sensor_inputs,
+    sensor_request,
+)
 from anchorflow_models.sub_scores import SUB_SCORES
 from anchorflow_models.torch_graphs import Role
 from anchorflow_models.wote import WoTE
@@ -51,7 +55,7 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
             inputs=inputs,
             conditioning=TensorsSpec(),
             sampler=VocabularySpec(size=config.judged),
-            finish=NoFinish(),
+            finish=sensor_guard(config.backbone, foretold=bool(config.encounters)),
             time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
             answer=AnswerSpec(
                 components=COMPONENTS,

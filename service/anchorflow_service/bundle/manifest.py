@@ -31,6 +31,7 @@ from anchorflow_client.contract import (
     AnchorBatch,
     AnswerSpec,
     CostMapSpec,
+    GuardSpec,
     ModelCard,
     NoFinish,
     OdeSpec,
@@ -53,6 +54,7 @@ from anchorflow_trajectory.ode.schedule import check_schedule
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
+STATUS, VEHICLE_SIZE = "ego_status", "vehicle_size"
 FIELDS_OF_ANSWER = {item.name for item in fields(AnchorBatch)}
 
 # One path segment: a bundle never reads beside its own folder.
@@ -164,6 +166,63 @@ class SplineEntry(RefineSpec):
     degree: PositiveInt
 
 
+@dataclass(frozen=True)
+class RasterEntry:
+    """A raster seen from above that encode gives, as a TensorSpec with an extent describes it."""
+
+    tensor: str
+    """[B,C,H,W] or [B,H,W,1]."""
+    extent: tuple[float, float, float, float]
+    """Least and greatest x, least and greatest y in m."""
+    _: KW_ONLY
+    first_s: NonNegativeFloat = 0.0
+    step_s: PositiveFloat = 1.0
+    """Seconds from now to the first channel, and from one to the next, if they are times."""
+    complement_of: NonNegativeInt | None = None
+    """The channel that says what the raster is not; null if the first says what it is."""
+
+
+@dataclass(frozen=True)
+class AgentsEntry:
+    """Boxes that encode gives."""
+
+    boxes: str
+    """[B,K,5] x, y, heading, length, width."""
+    scores: str
+    """[B,K]."""
+    least: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+    """Score from which on a box counts."""
+
+
+@dataclass(frozen=True)
+class GuardEntry(GuardSpec):
+    """The guard of a car, and where it finds what the planner perceives.
+
+    Requests have the input `ego_status`, whose numbers 4 and 5 are the velocity x, y in m/s.
+    """
+
+    _: KW_ONLY
+    size: tuple[PositiveFloat, PositiveFloat] | None
+    """Length and width of the car in m; null if requests have the input `vehicle_size`."""
+    road: RasterEntry
+    """Where one may drive."""
+    occupied: RasterEntry | None = None
+    """What others take, by time. Without `agents` these are boxes at constant velocity from now."""
+    agents: AgentsEntry | None = None
+
+    @property
+    def tensors(self) -> tuple[str, ...]:
+        """Outputs of encode that the guard reads."""
+        rasters = [each.tensor for each in (self.road, self.occupied) if each]
+        agents = (self.agents.boxes, self.agents.scores) if self.agents else ()
+        return (*rasters, *agents)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Inputs of a request that the guard reads."""
+        return (STATUS, *(() if self.size else (VEHICLE_SIZE,)))
+
+
 class Entry(BaseModel):
     """A frozen object of the manifest; unknown keys are refused."""
 
@@ -223,7 +282,7 @@ class Manifest(Entry):
     sampler: Annotated[
         OdeEntry | VocabularySpec | TruncatedDiffusionEntry, Field(discriminator="kind")
     ]
-    finish: Annotated[SplineEntry | NoFinish, Field(discriminator="kind")]
+    finish: Annotated[SplineEntry | GuardEntry | NoFinish, Field(discriminator="kind")]
     time: TimeSpec
     answer: AnswerSpec
     graphs: dict[str, GraphEntry]
@@ -278,6 +337,22 @@ class Manifest(Entry):
         for spec in self.answer.extras:
             if spec.name in FIELDS_OF_ANSWER:
                 yield f"answer.extras: {spec.name!r} is a name that every answer has"
+        if isinstance(self.finish, GuardEntry):
+            yield from self._guard_faults(self.finish)
+
+    def _guard_faults(self, guard: GuardEntry) -> Iterator[str]:
+        encode = self.graphs.get("encode")
+        outputs = encode.output_names if encode else guard.tensors  # an exporter traces it later
+        for name in guard.tensors:
+            if name not in outputs:
+                yield f"finish: {name!r} is not an output of encode: {', '.join(outputs)}"
+        for name in guard.inputs:
+            if name not in {spec.name for spec in self.request.inputs}:
+                yield f"finish: {name!r} is not an input of the request"
+        if not (guard.occupied or guard.agents):
+            yield "finish: expected occupied, agents or both, got none"
+        if self.answer.components != ("x", "y", "heading"):
+            yield "finish: expected the components x, y and heading of a car's anchors"
 
     @property
     def D(self) -> int:

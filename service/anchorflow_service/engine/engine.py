@@ -21,6 +21,7 @@ from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import FINISHES
 from anchorflow_service.engine.interfaces import (
     DT,
+    SAFE,
     Arrays,
     Check,
     ConditionedScene,
@@ -214,7 +215,8 @@ class Engine:
             context = self.sampler.encode(scene, threads=threads)
         check()
         with clock.stage("sample"):
-            return self.sampler.sample(scene, context, threads=threads, check=check)
+            samples = self.sampler.sample(scene, context, threads=threads, check=check)
+        return replace(samples, context=context)
 
     def _draws_ways(self, scene: ConditionedScene) -> TypeGuard[MapScene]:
         """Whether the anchors of a scene are drawn without a network."""
@@ -225,9 +227,9 @@ class Engine:
         reason = self._finish.reason(finished, scene)
         asked = scene.request.outputs
         extras = [spec.name for spec in self.card.answer.extras if spec.name in asked]
-        names = ("trajectories", *self.card.answer.arrays, *extras)
-        timed = {DT: finished[DT]} if DT in finished else {}
-        return scene.answered({name: finished[name] for name in names} | timed), reason
+        given = [name for name in (SAFE, DT) if name in finished]
+        names = dict.fromkeys(("trajectories", *self.card.answer.arrays, *extras, *given))
+        return scene.answered({name: finished[name] for name in names}), reason
 
 
 def _stacked(scenes: Sequence[Arrays], *, batched: bool) -> Arrays:

@@ -1,6 +1,7 @@
 """Finishes: what is done to samples before they are answered, by the kind in the manifest.
 
 none     answer the samples as they are
+guard    the same, or judge them and make the last one a stop (`guard.py`)
 spline   fit splines that meet both ends, push them clear of obstacles, and measure them
 """
 
@@ -13,6 +14,7 @@ from itertools import pairwise
 from anchorflow_client.contract import RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
+from anchorflow_service.engine.guard import GuardFinish
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
 from anchorflow_service.engine.later_loops import MOVING_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
@@ -98,4 +100,8 @@ class SplineFinish:
         return why_unsafe(scene.scene, arrays["clearance"], certified_margin=margin)
 
 
-FINISHES: Mapping[str, Callable[..., Finish]] = {"spline": SplineFinish, "none": NoFinish}
+FINISHES: Mapping[str, Callable[..., Finish]] = {
+    "spline": SplineFinish,
+    "guard": GuardFinish,
+    "none": NoFinish,
+}

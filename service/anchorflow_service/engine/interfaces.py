@@ -25,6 +25,8 @@ Arrays = dict[str, Array]
 Context = Mapping[str, Array]
 DT = "dt"
 """Name of [N] s between two time steps among the arrays of a finish, if anchors have their own."""
+SAFE = "safe"
+"""Name of [N] among the arrays of a finish that says it only where a request asks."""
 Check = Callable[[], object]
 """Called between the steps of a request; an exception that it raises ends the request."""
 
@@ -105,11 +107,13 @@ class Samples:
     states: [N,T,S], poses of D components first
     route: [N] index of the route that each began on, empty if the planner has no routes
     arrays: further outputs by name, such as scores [N]
+    context: what the sampler encoded, for a finish that reads it
     """
 
     states: NDArray[np.float32]
     route: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
     arrays: Mapping[str, Array] = field(default_factory=dict)
+    context: Context = field(default_factory=dict)
 
 
 class Sampler(Protocol):

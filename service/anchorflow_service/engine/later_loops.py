@@ -16,6 +16,7 @@ import time
 
 from anchorflow_client.errors import NotReady
 from anchorflow_trajectory.warm_up import (
+    GUARD,
     MOVING,
     POSES,
     STILL,
@@ -37,9 +38,9 @@ logger = logging.getLogger(__name__)
 class LaterLoops:
     """Knows whether requests that need the loops of a stage can be answered."""
 
-    def __init__(self, stage: str, field: str) -> None:
-        """field: of a request that needs them."""
-        self._stage, self._field = stage, field
+    def __init__(self, stage: str, field: str, *, after: tuple[str, ...] = (STILL,)) -> None:
+        """field: of a request that needs them; after: stages that every request needs."""
+        self._stage, self._field, self._after = stage, field, after
         self._is_deferred = self._is_on_demand = False
         self._done = threading.Event()
         self._begin = time.monotonic()
@@ -54,7 +55,8 @@ class LaterLoops:
 
     def load(self) -> None:
         """Make them ready for an engine, and what they build on, unless they are deferred."""
-        compile_loops(STILL)
+        for stage in self._after:
+            compile_loops(stage)
         if not (self._is_deferred or self._is_on_demand):
             compile_loops(self._stage)
 
@@ -92,18 +94,20 @@ class LaterLoops:
 
 MOVING_LOOPS = LaterLoops(MOVING, "obstacles")
 POSE_LOOPS = LaterLoops(POSES, "kinematics")
+GUARD_LOOPS = LaterLoops(GUARD, "refine.guard", after=())
+LOOPS = (MOVING_LOOPS, POSE_LOOPS, GUARD_LOOPS)
 
 
 def defer() -> None:
     """Leave what is not on disk for `compile_later`."""
-    MOVING_LOOPS.defer()
-    POSE_LOOPS.defer()
+    for each in LOOPS:
+        each.defer()
 
 
 def on_demand() -> None:
     """Leave what the first requests do not need."""
-    MOVING_LOOPS.on_demand()
-    POSE_LOOPS.on_demand()
+    for each in LOOPS:
+        each.on_demand()
 
 
 def starting(began: float) -> str:
@@ -122,7 +126,7 @@ def compile_later() -> None:
     """Begin to compile what was deferred, one stage after the other; return at once."""
 
     def work() -> None:
-        MOVING_LOOPS.compile()
-        POSE_LOOPS.compile()
+        for each in LOOPS:
+            each.compile()
 
     threading.Thread(target=work, name="later-loops", daemon=True).start()

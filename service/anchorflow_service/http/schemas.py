@@ -69,7 +69,8 @@ class AnchorAnswerBody(BaseModel):
         "[N]",
         "",
         "Whether the path keeps robot_radius and certified_margin from every obstacle, "
-        "certified_margin from the edge of the map, and v_max and a_max.",
+        "certified_margin from the edge of the map, and v_max and a_max. Of a car, with "
+        "refine.guard: whether it can be driven, stays on the perceived road and meets nobody.",
         None,
     )
     routes: list[int] | list[list[int]] | None = _array(

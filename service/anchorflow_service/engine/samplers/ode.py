@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import NoFinish, OdeSpec, RefineSpec
+from anchorflow_client.contract import OdeSpec, RefineSpec
 from anchorflow_service.bundle.manifest import Manifest, OdeEntry, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import refiner_of
@@ -120,7 +120,7 @@ class OdeSampler:
         yield from unknown_names(
             "answer.extras", [spec.name for spec in manifest.answer.extras], context
         )
-        if isinstance(manifest.finish, NoFinish):
+        if not isinstance(manifest.finish, SplineEntry):
             given = ("trajectories", *((SCORES,) if SCORE in graphs else ()))
             yield from unknown_names("answer.arrays", manifest.answer.arrays, given)
         steps, size = state_shape(manifest)

@@ -60,6 +60,7 @@ export class RequestFields {
       if (path.startsWith("kinematics.")) return hasMap;
       if (block === "robot") return path in (card.conditioning.limits ?? {});
       if (path.startsWith("sampler.")) return hasMap && card.sampler.kind === "ode";
+      if (path === "refine.guard") return card.finish.kind === "guard";
       if (path.startsWith("refine.")) return hasMap && card.finish.kind === "spline";
       return hasMap || !(path.includes(".") || ONLY_ON_MAPS.has(path));
     };
