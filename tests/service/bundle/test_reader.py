@@ -11,7 +11,6 @@ from pathlib import Path
 import onnx
 import pytest
 
-from anchorflow_client.errors import AnchorFlowError
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.bundle.graphs import open_graph
 from anchorflow_service.bundle.manifest import parse_manifest
@@ -188,10 +187,6 @@ def test_bytes_that_are_no_graph_are_refused(tiny_bundle: Path, edit_manifest: E
     edit_manifest("graphs.field.sha256", to=digest)
     with pytest.raises(BundleError, match=r"field\.onnx: onnxruntime cannot open it"):
         open_graph(load_bundle(tiny_bundle), "field")
-
-
-def test_a_bundle_error_belongs_to_the_tree() -> None:
-    assert issubclass(BundleError, AnchorFlowError)
 
 
 def test_the_tiny_graphs_are_valid_onnx(tiny_bundle: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 from diffusion_planner import KEEP, expected, write_diffusion_bundle
 
 from anchorflow_client import AnchorBatch, AnchorRequest
-from anchorflow_client.contract import ModelCard, TruncatedDiffusionSpec, resolve_for_card
+from anchorflow_client.contract import resolve_for_card
 from anchorflow_client.errors import Cancelled, InvalidRequest
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
@@ -101,9 +100,3 @@ def test_a_wrong_request_names_its_field(
         plan(engine, **asked)
     assert raised.value.field == field
     assert said in str(raised.value)
-
-
-def test_the_card_tells_the_steps_and_comes_back_from_json(engine: Engine) -> None:
-    spec = engine.card.sampler
-    assert spec == TruncatedDiffusionSpec(size=6, candidates=24, steps=2, choices=(1, 2, 4))
-    assert ModelCard.from_dict(json.loads(json.dumps(engine.card.to_dict()))).sampler == spec

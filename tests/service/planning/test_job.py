@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from anchorflow_client import DeadlineExceeded, NotReady, Superseded
+from anchorflow_client import NotReady, Superseded
 from anchorflow_service.planning import Arrival, JobContext
 from anchorflow_service.planning.job import Job, JobCancelled
 from anchorflow_service.planning.service import LatestPerRobot
@@ -42,23 +42,6 @@ def test_called_off_in_the_queue_it_is_not_worked_on() -> None:
         job.result.result(0)
 
 
-def test_called_off_at_work_it_stops_at_the_next_check() -> None:
-    reached: list[str] = []
-
-    def work(context: JobContext) -> None:
-        context.check()
-        reached.append("first step")
-        job.cancel(NotReady("the service is stopping"))
-        context.check()
-        reached.append("second step")
-
-    job: Job[None] = Job(work, Arrival())
-
-    assert not job.run(queue_ms=0.0, threads=1)
-    assert reached == ["first step"]
-    assert isinstance(job.result.exception(0), NotReady)  # and not JobCancelled, which is for us
-
-
 def test_the_first_end_stands() -> None:
     job: Job[str] = Job(lambda _: "done", Arrival())
 
@@ -92,23 +75,6 @@ def test_what_nobody_waits_for_is_not_delivered() -> None:
     job.run(queue_ms=0.0, threads=1)
     assert delivered == []
     assert isinstance(job.result.exception(0), NotReady)
-
-
-def test_a_budget_that_runs_out_at_work_ends_it_at_the_next_check() -> None:
-    now = [7.0]
-
-    def work(context: JobContext) -> None:
-        context.check()
-        now[0] += 0.3
-        context.check()
-
-    job: Job[None] = Job(work, Arrival(clock=lambda: now[0]), budget_ms=250)
-
-    assert not job.run(queue_ms=0.0, threads=1)
-    with pytest.raises(
-        DeadlineExceeded, match=r"within 250 ms, 300\.0 ms had passed while planning"
-    ):
-        job.result.result(0)
 
 
 # The latest job of a robot wins, by the time of arrival and not by that of reading.

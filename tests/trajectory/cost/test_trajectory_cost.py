@@ -129,14 +129,6 @@ def test_each_terms_gradient_equals_finite_differences(
     assert_gradient(problem, with_heading(splines) if dim == 3 else splines)
 
 
-@pytest.mark.parametrize("style", STYLES, ids=str)
-def test_the_whole_gradient_equals_finite_differences(
-    make_cost: Callable[..., TrajectoryCost], stage: Any, style: np.ndarray
-) -> None:
-    splines = stage.disturbed(6, stage.moving, spread=1.0, duration=FAST)
-    assert_gradient(make_cost(style), with_heading(splines))
-
-
 def crowd(kind: str) -> tuple[Crowd, MovingDiscs]:
     """Twelve discs about both ends of the stage, which the curves meet and touch."""
     rng = np.random.default_rng(6)

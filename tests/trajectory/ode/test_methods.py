@@ -24,11 +24,6 @@ from anchorflow_trajectory.ode.methods import (
 TABLEAUS = (EULER, MIDPOINT, HEUN, RK4)
 
 
-def test_rk4_is_the_classical_rule() -> None:
-    assert RK4.b == (1 / 6, 1 / 3, 1 / 3, 1 / 6)
-    assert RK4.c == (0.0, 0.5, 0.5, 1.0)
-
-
 @pytest.mark.parametrize("tableau", TABLEAUS, ids=lambda tableau: tableau.name)
 def test_no_method_claims_less_than_its_order(tableau: ButcherTableau) -> None:
     with pytest.raises(ValueError, match=rf"order {tableau.order + 1}\b"):
