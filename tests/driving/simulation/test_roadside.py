@@ -77,7 +77,7 @@ def _apart(folder: Path, *, medians: bool) -> list[float]:
     from anchorflow_driving.simulation.street_plan import make_net
 
     found = []
-    for seed in range(4):
+    for seed in range(2):
         net = RoadNet(make_net(np.random.default_rng(seed), folder, medians=medians))
         for name, lanes in net.edges.items():
             if not name.endswith("a") or f"{name[:-1]}b" not in net.edges:
