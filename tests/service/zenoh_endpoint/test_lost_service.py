@@ -91,9 +91,7 @@ class Loop:
             newest = tick.number
 
 
-@pytest.mark.parametrize(
-    ("where", "how"), [("behind a router", "killed"), ("alone", "killed"), ("alone", "stopped")]
-)
+@pytest.mark.parametrize(("where", "how"), [("behind a router", "killed"), ("alone", "stopped")])
 def test_a_service_that_is_lost_for_2_s(
     start_router: Any, start_replica: Any, endpoint: str, where: str, how: str
 ) -> None:
