@@ -103,7 +103,7 @@ def replay(
                 for bag in bags:
                     driver = Driver(settings, client, executor=AtOnce())
                     found = figures(decision for _, decision in decisions(bag, driver))
-                    rows[bag].append({"bundle": bundle.name} | found)
+                    rows[bag].append({"bundle": bundle.name, **found})
                     driver.close()
                     advance(1)
     tables = [ResultTable(bag.name, rows[bag]) for bag in bags]

@@ -111,7 +111,8 @@ class BodyPlanner:
         """
         count = len(paces)
         table, shaped, room = self._shaped(line, drawn, certified)
-        table, shaped, room = (np.repeat(a, PACED, 0)[:count] for a in (table, shaped, room))
+        of_shape = np.arange(count) // PACED
+        table, shaped, room = table[of_shape], shaped[of_shape], room[of_shape]
         driven = _Driven.empty(count, self.steps)
         driven.safe[:], driven.room[:] = line.safe | shaped, room
         keeps = self._drive(line, table, driven, np.arange(count), paces, 0.0)
