@@ -21,11 +21,19 @@ settings.load_profile("anchorflow")
 # With torch and onnx loaded every look for garbage is long: ten times fewer of them.
 gc.set_threshold(10_000)
 
+TRACING = ("tests/export/", "tests/test_own_data.py", "tests/service/http/test_planners.py")
+"""Tests that trace networks, the longest there are."""
+
 SHARED_DATA = Path(
     os.environ.get(
         "ANCHORFLOW_SHARED_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"
     )
 )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run the longest first, so that no worker ends with them while the other has nothing left."""
+    items.sort(key=lambda item: not item.nodeid.startswith(TRACING))
 
 
 @pytest.fixture(scope="session")

@@ -140,18 +140,6 @@ def test_style_is_followed(engine: Engine) -> None:
     assert lengths(short)[short.safe].mean() < lengths(safe)[safe.safe].mean()
 
 
-def test_a_scene_answers_the_same_alone_and_in_a_batch(engine: Engine) -> None:
-    ends = {
-        "x_curr": [[-4.0, 0.2, 0, 0, 0, 0], [-4.0, 2.0, 0, 0, 0, 0]],
-        "x_goal": [[4.0, -0.2, 0, 0], [4.0, 1.0, 0, 0]],
-    }
-    together, again = (plan(engine, cluttered(num_samples=16, **ends)) for _ in range(2))
-    assert_same_bytes(again, together)
-    for scene in range(2):
-        own = {name: each[scene] for name, each in ends.items()}
-        assert_same_bytes(plan(engine, cluttered(num_samples=16, **own)), together, scene=scene)
-
-
 def test_a_robot_beside_an_obstacle_is_answered_and_told(engine: Engine) -> None:
     tight = plan(engine, cluttered(x_curr=[-0.35, 0.0, 0.0, 0.0, 0.0, 0.0]))
     assert not tight.safe.any()

@@ -13,7 +13,6 @@ from blocking_twin import Blocking
 from fastapi import FastAPI
 from served import on_zenoh
 
-from anchorflow_benchmarks.programs import free_port
 from anchorflow_client import (
     AnchorBatch,
     AnchorClient,
@@ -193,11 +192,3 @@ async def test_a_timeout_hangs_up_too(
     assert await asyncio.to_thread(outcomes.heard.wait, PATIENCE_S)
     gate.opened.set()
     assert outcomes.seen == [CANCELLED]
-
-
-@pytest.mark.anyio
-async def test_without_a_server_the_connection_fails(fields: dict[str, Any]) -> None:
-    port = free_port()
-    async with AsyncAnchorClient(f"http://127.0.0.1:{port}") as client:
-        assert not await client.live()
-        assert isinstance(await error_of(client.plan(**fields)), ConnectionFailed)
