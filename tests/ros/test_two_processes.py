@@ -87,17 +87,7 @@ def under_way(folder: Path) -> None:
     time.sleep(8.0)
 
 
-def test_a_robot_with_lidar_arrives(tmp_path: Path) -> None:
-    with node(tmp_path), simulator(tmp_path, "--limit-s", "80") as robot:
-        robot.wait(240.0)
-
-    run = result(tmp_path)
-    assert run["end"] == "goal", run
-    assert run["clearance_m"] > 0.0
-    assert run["length_m"] > 9.0
-
-
-def test_a_robot_brakes_while_its_service_is_away(tmp_path: Path) -> None:
+def test_a_robot_with_lidar_arrives_and_brakes_while_its_service_is_away(tmp_path: Path) -> None:
     service = Program("service", serve_command("--port", str(free_port())), says=" at ")
     service.start()
     try:
@@ -114,4 +104,6 @@ def test_a_robot_brakes_while_its_service_is_away(tmp_path: Path) -> None:
 
     run = result(tmp_path)
     assert run["end"] == "goal", run
+    assert run["clearance_m"] > 0.0
+    assert run["length_m"] > 9.0
     assert run["node"].index("no answer for ") < run["node"].index("goal: arrived")
