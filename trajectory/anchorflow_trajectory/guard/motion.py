@@ -108,14 +108,15 @@ class Legs:
         later = np.diff(speeds, axis=1) * 2 / (duration[1:] + duration[:-1])
         pull = np.concatenate([first, later], 1)
         way = np.abs(self.along)
-        return (
+        possible = (
             (pull >= -BRAKE)
             & (pull <= PULL)
             & (self.along >= -SLIP_SLACK)
             & (np.abs(speeds * self.turn) <= (LATERAL * duration))
             & (np.abs(self.turn) <= CURVATURE * way + TURN_SLACK)
             & (np.abs(self.across) <= SLIP * way + SLIP_SLACK)
-        ).all(1)
+        )
+        return np.asarray(possible.all(1))
 
     def fine(self, speed: float, car: Car) -> FineMotion:
         """Return the motion on a grid of FINE_S, and its bounds.
