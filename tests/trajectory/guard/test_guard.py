@@ -13,7 +13,7 @@ from anchorflow_trajectory.guard.motion import Car
 from anchorflow_trajectory.guard.raster_boxes import boxes_in
 from anchorflow_trajectory.guard.speeds import boxes_of
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 CAR, TIMES, HORIZON_S = Car(front=3.6, rear=1.0, side=0.9), 0.5 * np.arange(1, 9), 1.5
 EXTENT, CELL = (-16.0, 80.0, -32.0, 32.0), 0.5
