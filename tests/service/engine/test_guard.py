@@ -92,7 +92,7 @@ def test_a_finish_is_refused_what_it_does_not_have(
     card, free = load_bundle(FOLDER / bundle).card, np.zeros((1, 32, 32))
     of_map: dict[str, Any] = {"x_curr": [0.0] * 6, "x_goal": [1.0, 0.0, 0.0, 0.0]}
     of_map |= {"cost_map": {"data": free, "resolution": 0.2}}
-    given = of_map if bundle == "default" else {"inputs": {"bev": 0}}
+    given: dict[str, Any] = of_map if bundle == "default" else {"inputs": {"bev": 0}}
     request = AnchorRequest.build(**given, refine=refine)
     with pytest.raises(InvalidRequest) as caught:
         resolve_for_card(request, card)

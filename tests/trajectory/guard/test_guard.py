@@ -13,7 +13,7 @@ from anchorflow_trajectory.guard.motion import Car
 from anchorflow_trajectory.guard.raster_boxes import boxes_in
 from anchorflow_trajectory.guard.speeds import boxes_of
 
-Array = NDArray[np.floating]
+Array = NDArray[np.float64]
 
 CAR, TIMES, HORIZON_S = Car(front=3.6, rear=1.0, side=0.9), 0.5 * np.arange(1, 9), 1.5
 EXTENT, CELL = (-16.0, 80.0, -32.0, 32.0), 0.5
@@ -55,7 +55,7 @@ def overlap(one: Array, other: Array) -> NDArray[np.bool_]:
     return ~apart
 
 
-def judged(plans: Array, boxes: Array, road: Raster) -> NDArray[np.bool_]:
+def judged(plans: NDArray[np.floating], boxes: Array, road: Raster) -> NDArray[np.bool_]:
     """Whether plans [N,8,3] hit a box [K,8] within the horizon or leave the road, every 1 cs."""
     times, knots = np.arange(0.0, HORIZON_S + 1e-9, 0.01), np.concatenate([[0.0], TIMES])
     poses = np.concatenate([np.zeros_like(plans[:, :1]), plans], 1)
