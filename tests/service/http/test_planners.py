@@ -67,6 +67,7 @@ class Planner:
     extras: tuple[str, ...]
     sampler: str
     steps: int
+    finish: str
     optional: tuple[str, ...] = ()
     options: dict[str, Any] = field(default_factory=dict)
 
@@ -83,7 +84,7 @@ class Planner:
 def camera_planner(factory: pytest.TempPathFactory) -> Planner:
     extras = ("goals", "bev_semantics")
     return Planner(
-        write_image_bundle(factory.mktemp("camera")), camera_scene, extras, "vocabulary", 8
+        write_image_bundle(factory.mktemp("camera")), camera_scene, extras, "vocabulary", 8, "none"
     )
 
 
@@ -92,14 +93,14 @@ def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
     assert max(difference.error for difference in made.differences) < 1e-4
     options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
     extras, steps = ("goals", "goal_scores"), GOALFLOW.num_steps
-    return Planner(made.path, goalflow_scene, extras, "ode", steps, ("route",), options)
+    return Planner(made.path, goalflow_scene, extras, "ode", steps, "guard", ("route",), options)
 
 
 def wote_planner(factory: pytest.TempPathFactory) -> Planner:
     made = export_once("wote", factory)
     assert max(part.error for part in made.differences) <= 1e-5
     extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before",)
-    return Planner(made.path, wote_scene, extras, "vocabulary", 8, optional)
+    return Planner(made.path, wote_scene, extras, "vocabulary", 8, "guard", optional)
 
 
 PLANNERS = {"camera": camera_planner, "goalflow": goalflow_planner, "wote": wote_planner}
@@ -141,7 +142,7 @@ def test_the_card_says_how_to_ask(planner: Planner, client: BaseClient) -> None:
     assert names - set(optional) <= set(planner.scene(0)) <= names
     assert optional == planner.optional
     kinds = (card.conditioning.kind, card.sampler.kind, card.finish.kind)
-    assert kinds == ("tensors", planner.sampler, "none")
+    assert kinds == ("tensors", planner.sampler, planner.finish)
     assert (card.T, card.D, card.time.first_s, card.time.dt) == (planner.steps, 3, 0.5, 0.5)
     assert set(card.answer.names) == {"trajectories", "scores", *planner.extras}
     with pytest.raises(InvalidRequest, match=f"{card.name} takes no cost map; its inputs are "):
@@ -272,7 +273,16 @@ def test_what_a_vocabulary_has_no_use_for_is_refused(
 ) -> None:
     with pytest.raises(InvalidRequest) as caught:
         client.plan(inputs=planner.scene(0), **fields)
-    assert caught.value.field == next(iter(fields))
+    assert caught.value.field.split(".")[0] == next(iter(fields))
+
+
+@of("goalflow", "wote")
+def test_the_guard_is_answered_alike(planner: Planner, client: BaseClient) -> None:
+    asked = planner.all | {"refine": {"guard": True}}
+    answer = client.plan(**asked)
+    assert_same(answer, planner.local.plan(**asked))
+    assert answer.safe.dtype == np.bool_
+    assert (answer.reason is None) == answer.safe.any()
 
 
 def test_a_map_is_refused(planner: Planner, client: BaseClient) -> None:
