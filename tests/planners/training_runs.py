@@ -25,7 +25,7 @@ from anchorflow_training.settings import Setting
 
 Run = TypeVar("Run", bound=TrainingRun)
 
-SMALL = L2Config(map_size=16, feature_channels=4)
+SMALL = L2Config(map_size=16, feature_channels=4, layers=1)
 QUICK = TrainerConfig(
     steps=2,
     warmup=0,

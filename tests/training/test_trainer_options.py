@@ -27,7 +27,7 @@ BASE: dict[str, Any] = {
     "checkpoint_every": 100,
     "tensorboard": False,
     "batch": {"scenes": 2, "samples": 4},
-    "model": {"map_size": 16, "feature_channels": 4},
+    "model": {"map_size": 16, "feature_channels": 4, "layers": 1},
 }
 
 
@@ -143,7 +143,7 @@ def test_two_processes_see_what_two_accumulated_batches_see(
     alone = fit("alone", accumulate=2)
     words = ["--devices=2", "--accelerator=cpu", "--threads=1", "--steps=2", "--warmup=0"]
     words += ["--report-every=1", "--scenes=2", "--samples=4", "--no-tensorboard"]
-    words += ["--model.map-size=16", "--model.feature-channels=4"]
+    words += ["--model.map-size=16", "--model.feature-channels=4", "--model.layers=1"]
     told = launched(tmp_path, "train", tiny_dataset.path, "--out", tmp_path / "both", *words)
     both = make("both", accumulate=2)
     assert both.step == 2

@@ -56,6 +56,7 @@ def test_a_killed_run_loses_at_most_an_interval_and_its_curve_joins(
         "samples": CONFIG.batch.samples,
         "model.map-size": CONFIG.model.map_size,
         "model.feature-channels": CONFIG.model.feature_channels,
+        "model.layers": CONFIG.model.layers,
     }
     words = [f"--{name}={value}" for name, value in settings.items()]
     program = "from anchorflow_cli.main import main; main()"
