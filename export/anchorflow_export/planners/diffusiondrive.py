@@ -73,7 +73,11 @@ def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> P
                 schedules=tuple(SCHEDULES.values()),
                 steps=config.steps,
             ),
-            finish=sensor_guard(config.backbone, foretold=bool(config.encounters)),
+            finish=sensor_guard(
+                config.backbone,
+                foretold=bool(config.encounters),
+                lasts_s=FIRST_S + (POSES - 1) * STEP_S,
+            ),
             time=TimeSpec(steps=POSES, first_s=FIRST_S, dt=STEP_S),
             answer=AnswerSpec(
                 components=COMPONENTS,

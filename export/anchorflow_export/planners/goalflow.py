@@ -68,7 +68,7 @@ def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
                 prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
             ),
             finish=GuardEntry(
-                horizon_s=GUARD_HORIZON_S,
+                horizon_s=min(GUARD_HORIZON_S, config.num_steps * config.dt),
                 size=None,
                 road=RasterEntry("drivable", config.bev.extent),
                 occupied=RasterEntry("occupied", config.bev.extent, step_s=config.dt),

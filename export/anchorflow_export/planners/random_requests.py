@@ -123,16 +123,17 @@ def perceived(backbone: TransfuserConfig, *, agents: int, classes: int) -> tuple
     )
 
 
-def sensor_guard(backbone: TransfuserConfig, *, foretold: bool) -> GuardEntry:
+def sensor_guard(backbone: TransfuserConfig, *, foretold: bool, lasts_s: float) -> GuardEntry:
     """Return a guard by a backbone's perception.
 
     foretold: whether encode gives what others will take, every FORETOLD_S
+    lasts_s: s from now to the last pose
     """
     reach = backbone.lidar_range
     ahead = (-reach, reach + backbone.far_range, -reach, reach)
     taken = RasterEntry("foretold", ahead, first_s=FORETOLD_S, step_s=FORETOLD_S)
     return GuardEntry(
-        horizon_s=GUARD_HORIZON_S,
+        horizon_s=min(GUARD_HORIZON_S, lasts_s),
         size=NUPLAN_CAR,
         road=RasterEntry("bev_semantics", (0.0, reach, -reach, reach), complement_of=0),
         occupied=taken if foretold else None,

@@ -55,7 +55,11 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
             inputs=inputs,
             conditioning=TensorsSpec(),
             sampler=VocabularySpec(size=config.judged),
-            finish=sensor_guard(config.backbone, foretold=bool(config.encounters)),
+            finish=sensor_guard(
+                config.backbone,
+                foretold=bool(config.encounters),
+                lasts_s=config.num_steps * config.dt,
+            ),
             time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
             answer=AnswerSpec(
                 components=COMPONENTS,

@@ -349,6 +349,9 @@ class Manifest(Entry):
         for name in guard.inputs:
             if name not in {spec.name for spec in self.request.inputs}:
                 yield f"finish: {name!r} is not an input of the request"
+        lasts_s = self.time.first_s + (self.time.steps - 1) * (self.time.dt or 0.0)
+        if guard.horizon_s > lasts_s + 1e-9:
+            yield f"finish.horizon_s is {guard.horizon_s:g}, expected at most the last pose's time"
         if not (guard.occupied or guard.agents):
             yield "finish: expected occupied, agents or both, got none"
         if self.answer.components != ("x", "y", "heading"):
