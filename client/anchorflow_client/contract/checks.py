@@ -14,6 +14,7 @@ import base64
 import binascii
 import math
 from collections.abc import Callable, Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import chain
@@ -377,7 +378,10 @@ def _from_lists(value: Any, field: str, shape: str) -> NDArray[np.float64]:
     while items and isinstance(items[0], _SEQUENCES):
         sizes.append(_common_length(items, sizes, field, shape))
         items = list(chain.from_iterable(items))
-    _check_leaves(items, sizes, field)
+    kinds = _check_leaves(items, sizes, field)
+    if kinds == {int}:  # most maps: bytes are read in a fifth of the time
+        with suppress(ValueError):
+            return np.frombuffer(bytes(items), np.uint8).astype(np.float64).reshape(sizes)
     try:
         return np.array(items, dtype=np.float64).reshape(sizes)
     except OverflowError as error:
@@ -398,11 +402,14 @@ def _common_length(items: list[Any], sizes: list[int], field: str, shape: str) -
     return lengths[0]
 
 
-def _check_leaves(items: list[Any], sizes: list[int], field: str) -> None:
-    strangers = {kind for kind in set(map(type, items)) if not is_number_type(kind)}
+def _check_leaves(items: list[Any], sizes: list[int], field: str) -> set[type]:
+    """Return the types of the items. Raises `InvalidRequest` if one is no number."""
+    kinds = set(map(type, items))
+    strangers = {kind for kind in kinds if not is_number_type(kind)}
     if strangers:
         index = next(i for i, item in enumerate(items) if type(item) in strangers)
         raise _item_refused(items, index, sizes, field, "a number")
+    return kinds
 
 
 def _item_refused(

@@ -30,6 +30,7 @@ from anchorflow_service.http.routes import (
     server_version,
 )
 from anchorflow_service.http.tokens import TokenFile, TokenGuard, document_tokens
+from anchorflow_service.memory import keep_freed_memory
 from anchorflow_service.observability.logs import log_exchange
 from anchorflow_service.observability.metrics import Metrics
 from anchorflow_service.planning import PlanningService
@@ -63,6 +64,7 @@ def create_app(
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[dict[str, Any]]:
         ignore_warnings_of_pillow()
+        keep_freed_memory()
         async with AsyncExitStack() as stack:
             stack.enter_context(service)
             for endpoint in endpoints:

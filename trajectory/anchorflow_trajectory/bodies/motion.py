@@ -29,6 +29,7 @@ COLUMNS = 6
 PULLING, SIDEWAYS = 0.8, 0.6  # shares of a_max: along the way, and across in bends
 SPIN_SHARE, SPIN_S = 0.93, 0.4  # of omega_max, and s in which a turn reaches it
 TIGHT = 1e-6  # 1/m
+STEEPEST = np.sqrt(2.0)  # most that a field of distances changes, a metre, between its cells
 CLOSE = 0.02  # m that any point of the outline moves between two poses that are tested
 
 
@@ -80,28 +81,42 @@ def certify(
     room: Grid,
     clear: float,
     most_bend: float,
+    whole: bool,
 ) -> tuple[BoolArray, NDArray[np.float64]]:
     """Whether ways [N, R, 6] touch nothing and bend no tighter than allowed, and their room [N] m.
 
     corners: [K, 2] of the outline, with the margin that lies between two poses that are tested
     rim: [Q, 2] points of the outline itself, from which the room is measured
     clear: m of room at the rim with which a body that touched nothing before touches nothing
+    whole: whether a way that is not safe is followed to its end, as its room demands
     """
     count = len(rows)
     safe, least = np.ones(count, np.bool_), np.full(count, np.inf)
     spans = np.empty((2, ground.room.shape[0]))
     for n in range(count):
-        begin = True
+        begin, bound = True, -np.inf  # m that the room of a row has at least
         for g in range(len(gears)):
             for t in range(begins[g], begins[g + 1]):
+                if not (safe[n] or whole):
+                    break
                 row, before = rows[n, t], rows[n, max(t - 1, begins[g])]
-                free = _room(rim, reach, room, row, max(clear, least[n]))
+                free = known = max(clear, least[n])
+                bound -= STEEPEST * _moved(before, row, reach)
+                if t == begins[g] or bound < known:
+                    free = bound = _room(rim, reach, room, row, known)
                 least[n] = min(least[n], free)
                 safe[n] &= gears[g] == TURNING or abs(row[BEND]) <= most_bend
                 if safe[n] and (begin or free < clear):
                     safe[n] = not _touched(ground, corners, reach, before, row, spans)
                 begin = False
     return safe, least
+
+
+@compiled
+def _moved(before: FloatArray, row: FloatArray, reach: float) -> float:
+    """Return m that no point of an outline moves further than, from one row [6] to the next."""
+    moved = np.hypot(row[X] - before[X], row[Y] - before[Y])
+    return moved + abs(row[HEADING] - before[HEADING]) * reach
 
 
 @compiled
@@ -114,9 +129,8 @@ def _touched(
     spans: FloatArray,
 ) -> bool:
     """Whether an outline touches something on the way from one row [6] to the next."""
-    moved = np.hypot(row[X] - before[X], row[Y] - before[Y])
-    moved += abs(row[HEADING] - before[HEADING]) * reach
-    parts, pose = max(1, int(np.ceil(moved / CLOSE))), np.empty(3)
+    parts = max(1, int(np.ceil(_moved(before, row, reach) / CLOSE)))
+    pose = np.empty(3)
     for part in range(parts):
         share = (part + 1.0) / parts
         for k in range(3):
@@ -128,10 +142,11 @@ def _touched(
 
 @compiled
 def _room(rim: FloatArray, reach: float, room: Grid, row: FloatArray, known: float) -> float:
-    """m from the outline [Q, 2] at a row [6] to the nearest occupied cell; at most `known`."""
-    if value_at(room, row[X], row[Y]) - reach > known:
-        return known
-    cosine, sine, least = np.cos(row[HEADING]), np.sin(row[HEADING]), known
+    """m from the outline [Q, 2] at a row [6] to the nearest occupied cell, or less beyond known."""
+    about = value_at(room, row[X], row[Y]) - reach
+    if about > known:
+        return about
+    cosine, sine, least = np.cos(row[HEADING]), np.sin(row[HEADING]), np.inf
     for q in range(len(rim)):
         x = row[X] + cosine * rim[q, 0] - sine * rim[q, 1]
         y = row[Y] + sine * rim[q, 0] + cosine * rim[q, 1]
@@ -191,14 +206,19 @@ def _highest_speeds(rows: FloatArray, limits: Limits) -> NDArray[np.float64]:
     Each holds for the bends within half a window too, since the law is averaged.
     """
     count, half = len(rows), 0.5 * limits.window * limits.v_max
-    low, high = 0, 0
     speeds = np.empty(count)
+    # Rows up to `high` that may be the tightest of a window to come, the tightest first.
+    tightest, first, last, high = np.empty(count, np.int64), 0, 0, -1
     for k in range(count):
-        while rows[low, ALONG] < rows[k, ALONG] - half:
-            low += 1
-        while high < count - 1 and rows[high, ALONG] < rows[k, ALONG] + half:
+        while high < count - 1 and (high < k or rows[high, ALONG] < rows[k, ALONG] + half):
             high += 1
-        bend = max(np.abs(rows[low : high + 1, BEND]).max(), TIGHT)
+            while last > first and abs(rows[tightest[last - 1], BEND]) <= abs(rows[high, BEND]):
+                last -= 1
+            tightest[last] = high
+            last += 1
+        while rows[tightest[first], ALONG] < rows[k, ALONG] - half:
+            first += 1
+        bend = max(abs(rows[tightest[first], BEND]), TIGHT)
         in_turns = SPIN_SHARE * limits.omega_max / bend
         speeds[k] = min(limits.v_max, in_turns, np.sqrt(SIDEWAYS * limits.a_max / bend))
     return speeds

@@ -79,16 +79,24 @@ class BodyPlanner:
         settled = [self._settled(s, s.control[None].copy(), LEAST_MARGIN, LONG) for s in way]
         line = _Line.empty(way)
         for controls in (settled, [each.control[None] for each in way]):
-            table, safe, room = self._checked(line, controls, certified)
+            table, safe, room = self._checked(line, controls, certified, whole=True)
             line = replace(line, controls=controls, table=table, safe=safe[0], room=room[0])
             if line.safe:
                 break
         return line
 
     def _checked(
-        self, line: _Line, controls: Sequence[FloatArray], certified: float
+        self,
+        line: _Line,
+        controls: Sequence[FloatArray],
+        certified: float,
+        *,
+        whole: bool = False,
     ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Return the tables [N, R, 6] of curves [N, K, 2], which are safe, and their room [N] m."""
+        """Return the tables [N, R, 6] of curves [N, K, 2], which are safe, and their room [N] m.
+
+        whole: whether the room of those that are not safe counts
+        """
         outline, wheels = self.problem.body.outline, self.problem.body.wheels
         grown = outline.grown(BETWEEN + certified)
         clear = 0.5 * RIM + BETWEEN + certified + CLOSE + self.problem.scene.resolution
@@ -98,7 +106,7 @@ class BodyPlanner:
         table = np.concatenate(rows, axis=1)
         safe, least = certify(
             table, line.gears, line.begins, self.problem.ground, grown.corners, grown.reach,
-            outline.rim(RIM), self.problem.room, clear, most_bend,
+            outline.rim(RIM), self.problem.room, clear, most_bend, whole,
         )  # fmt: skip
         return table, safe, least
 

@@ -21,7 +21,7 @@ from anchorflow_trajectory.compiled import compiled
 
 GREED = 1.4  # factor on what is left
 ASIDE = 1.6  # m of way that a metre beside the route counts
-TABLE = 1 << 17  # places for poses, a power of two
+LEAST_TABLE = 1 << 10  # places for poses, a power of two
 MOST_NODES = 60_000
 ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
 NEAR = 3.0  # m from the goal within which it is tried directly
@@ -98,16 +98,20 @@ def find_way(
         most: poses to expand.
     """
     spans = np.empty((2, ground.room.shape[0]))
+    size = min(MOST_NODES, (most + 1) * (len(moves.gears) + 1))
     nodes = Nodes(
-        np.empty((MOST_NODES, 3)),
-        np.empty(MOST_NODES),
-        np.empty(MOST_NODES),
-        np.empty(MOST_NODES, np.int64),
-        np.empty(MOST_NODES, np.int64),
-        np.empty(MOST_NODES, np.int64),
+        np.empty((size, 3)),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size, np.int64),
+        np.empty(size, np.int64),
+        np.empty(size, np.int64),
     )
-    keys, held = np.full(TABLE, EMPTY, np.int64), np.empty(TABLE, np.int64)
-    heap_cost, heap_node = np.empty(MOST_NODES), np.empty(MOST_NODES, np.int64)
+    places = LEAST_TABLE
+    while places < 2 * size:
+        places *= 2
+    keys, held = np.full(places, EMPTY, np.int64), np.empty(places, np.int64)
+    heap_cost, heap_node = np.empty(size), np.empty(size, np.int64)
     nodes.poses[0], nodes.costs[0], nodes.driven[0] = start, 0.0, 0.0
     nodes.parents[0], nodes.moves[0], nodes.gears[0] = -1, -1, gear
     key = _key(ground, cell, moves.bins, nodes, 0)
@@ -115,13 +119,13 @@ def find_way(
     keys[place], held[place] = key, 0
     count, waiting, expanded = 1, 1, 0
     heap_cost[0], heap_node[0] = 0.0, 0
-    done = np.zeros(MOST_NODES, np.bool_)
+    done = np.zeros(size, np.bool_)
     best, best_cost, best_node, enough = np.empty((0, 4)), np.inf, -1, most
     while (
         waiting
         and expanded < enough
         and heap_cost[0] < best_cost
-        and count < MOST_NODES - len(moves.gears) - 1
+        and count < size - len(moves.gears) - 1
     ):
         node = heap_node[0]
         waiting = _pop(heap_cost, heap_node, waiting)
@@ -217,10 +221,11 @@ def _key(ground: Ground, cell: float, bins: int, nodes: Nodes, node: int) -> int
 
 @compiled
 def _place(keys: NDArray[np.int64], key: int) -> int:
-    """The place of a key in the table, or the empty one for it."""
-    place = ((key * 0x9E3779B97F4A7C1) >> 20) & (TABLE - 1)
+    """The place of a key in a table whose size is a power of two, or the empty one for it."""
+    last = len(keys) - 1
+    place = ((key * 0x9E3779B97F4A7C1) >> 20) & last
     while keys[place] != EMPTY and keys[place] != key:
-        place = (place + 1) & (TABLE - 1)
+        place = (place + 1) & last
     return place
 
 

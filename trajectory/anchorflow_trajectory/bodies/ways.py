@@ -74,6 +74,8 @@ class WaySearch:
 
     def find(self, certified: float) -> list[list[Stretch]]:
         """Return the ways on which the body fits, the cheapest first; at least one."""
+        # Both are worked out here, side by side, and not by each search anew.
+        self.run([lambda: self.problem.scene.routes, lambda: self.problem.goal])
         routes = self.problem.scene.routes[:MOST_WAYS]
         for margin, finer, spare in TRIES:
             cell = finer * self.problem.cell
