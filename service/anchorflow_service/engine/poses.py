@@ -42,7 +42,7 @@ class PosePlanner:
         request = scene.request
         tolerance = request.goal_tolerance
 
-        def run(work: Sequence[Callable[[], None]]) -> None:
+        def run(work: Sequence[Callable[[], object]]) -> None:
             if threads > 1 and len(work) > 1:
                 self._pool.run(work)
                 return

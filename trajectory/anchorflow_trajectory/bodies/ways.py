@@ -20,7 +20,7 @@ from anchorflow_trajectory.bodies.wheels import TURNING, moves_of
 from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
 
-Run = Callable[[Sequence[Callable[[], None]]], None]
+Run = Callable[[Sequence[Callable[[], object]]], None]
 """Calls functions, side by side if it likes."""
 
 GUIDE_CELLS, GUIDE_STEP = 64, 0.15  # most cells of a guide's side, and m between its points
