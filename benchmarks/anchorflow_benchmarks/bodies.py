@@ -1,15 +1,15 @@
 """Judge anchors of robots with an outline and wheels, in places that are narrow for them.
 
 The rivals are what a user has without a footprint: the disc about the outline, which is safe and
-fits through less, and the disc inside of it, which is not safe; and the searched ways themselves,
-hybrid A* as it comes. Run by `anchorflow bench bodies`.
+fits through less, and the disc inside of it, which is not safe; and one searched way as it comes,
+plain hybrid A*. Run by `anchorflow bench bodies`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -24,6 +24,7 @@ from anchorflow_client.contract import AnchorBatch, AnchorRequest, resolve_for_c
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
 from anchorflow_trajectory.bodies import planner as body_planner
+from anchorflow_trajectory.bodies.ways import Stretch, WaySearch
 
 CELLS, RESOLUTION = 160, 0.05
 V_MAX, A_MAX, OMEGA_MAX = 1.0, 1.5, 2.0
@@ -32,6 +33,8 @@ SLIP = 0.05  # m/s
 FORKLIFT = np.array([[-0.45, -0.31], [0.45, -0.31], [0.45, 0.31], [-0.45, 0.31]])
 TAIL = np.array([[-0.7, -0.25], [0.2, -0.25], [0.2, 0.25], [-0.7, 0.25]])
 CAR = np.array([[-0.25, -0.25], [0.65, -0.25], [0.65, 0.25], [-0.25, 0.25]])
+JACKAL = np.array([[-0.254, -0.215], [0.254, -0.215], [0.254, 0.215], [-0.254, 0.215]])
+PERSON = 0.3  # m, radius
 DIFFERENTIAL: dict[str, Any] = {"kind": "differential", "omega_max": OMEGA_MAX}
 ACKERMANN: dict[str, Any] = {
     "kind": "ackermann",
@@ -44,7 +47,10 @@ Rectangle = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Situation:
-    """A map about (0, 0), a robot, and the poses between which it drives; heading: of the goal."""
+    """A map about (0, 0), a robot, and the poses between which it drives.
+
+    heading: rad, tolerance at the goal; people: [M, 4], place and velocity of each
+    """
 
     occupied: NDArray[np.bool_]
     start: Pose
@@ -52,10 +58,16 @@ class Situation:
     footprint: NDArray[np.float64]
     kinematics: Mapping[str, Any]
     heading: float | None = None
+    people: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 4)))
 
     def fields(self, num: int, seed: int) -> dict[str, Any]:
         """Return the request's fields."""
         data = self.occupied[None].astype(np.float32)
+        moving = {
+            "position": self.people[:, :2],
+            "velocity": self.people[:, 2:],
+            "radius": np.full(len(self.people), PERSON),
+        }
         return {
             "cost_map": {"data": data, "resolution": RESOLUTION},
             "x_curr": [*self.start, *[0.0] * 6],
@@ -65,6 +77,7 @@ class Situation:
             "goal_tolerance": {"position": REACHED, "heading": self.heading},
             "v_max": V_MAX,
             "a_max": A_MAX,
+            "obstacles": moving if len(self.people) else None,
             "num_samples": num,
             "seed": seed,
         }
@@ -133,12 +146,35 @@ def slalom(rng: np.random.Generator) -> Situation:
     return Situation(cells, (-3.2, 0, rng.uniform(-0.5, 0.5)), (3.1, 0, 0), CAR, ACKERMANN)
 
 
+def crossing(rng: np.random.Generator) -> Situation:
+    """Two people who cross an open place where the robot would meet them."""
+    start, goal = (-3.0, rng.uniform(-1, 1), rng.uniform(-0.6, 0.6)), (3.0, rng.uniform(-1, 1), 0)
+    people = []
+    for share in rng.uniform([0.25, 0.5], [0.5, 0.75]):
+        place = (1.0 - share) * np.array(start[:2]) + share * np.array(goal[:2])
+        side, speed = rng.uniform(np.pi / 4, 3 * np.pi / 4), rng.uniform(0.4, 1.2)
+        velocity = rng.choice([-1.0, 1.0]) * speed * np.array([np.cos(side), np.sin(side)])
+        people.append([*(place - velocity * (6.5 * share + rng.uniform(-0.4, 0.4))), *velocity])
+    return Situation(FREE, start, goal, JACKAL, DIFFERENTIAL, people=np.array(people))
+
+
+def oncoming(rng: np.random.Generator) -> Situation:
+    """Somebody who walks towards the robot in a corridor that is wide enough for both."""
+    half, speed = rng.uniform(0.85, 1.3), rng.uniform(0.4, 1.0)
+    cells = painted(False, (-3.9, 3.9, -half, half), on=FULL)
+    person = np.array([[rng.uniform(0.0, 2.5), rng.uniform(-0.3, 0.3), -speed, 0.0]])
+    start, goal = (-3.0, 0.0, rng.uniform(-0.3, 0.3)), (3.0, 0.0, 0.0)
+    return Situation(cells, start, goal, JACKAL, DIFFERENTIAL, people=person)
+
+
 FAMILIES: dict[str, Callable[[np.random.Generator], Situation]] = {
     "door": doorway,
     "aisle": aisle,
     "tail": tail,
     "parking": parking,
     "slalom": slalom,
+    "crossing": crossing,
+    "oncoming": oncoming,
 }
 
 
@@ -146,7 +182,12 @@ def verdicts(found: AnchorBatch, at: Situation) -> NDArray[np.bool_]:
     """Return [N, 3]: touches nothing, ends in its goal, and can be driven within the limits."""
     judge = BodyJudge(at.occupied, RESOLUTION, at.footprint)
     poses, velocities = found.trajectories, found.velocities
-    free = [not judge.touches(path) for path in poses]
+    places = np.stack([at.people[:, :2], at.people[:, :2] + at.people[:, 2:]], 1)
+    radii = np.full(len(places), PERSON)
+    free = [
+        not judge.touches(path) and not judge.meets(path, lasts, places, radii)
+        for path, lasts in zip(poses, found.durations.tolist(), strict=True)
+    ]
     away = np.hypot(*(poses[:, -1, :2] - at.goal[:2]).T) <= REACHED + 1e-3
     away &= np.hypot(*(poses[:, 0, :2] - at.start[:2]).T) <= REACHED
     away &= np.abs(turned(poses[:, 0, 2] - at.start[2])) <= TURNED
@@ -192,14 +233,27 @@ def ask(engine: Engine, fields: Mapping[str, Any]) -> AnchorBatch:
     return engine.plan(resolve_for_card(AnchorRequest.build(**fields), engine.card))
 
 
+class OneWay(WaySearch):
+    """The cheapest way only, as other planners return it."""
+
+    def find(self, certified: float) -> list[list[Stretch]]:
+        """Return one way."""
+        return super().find(certified)[:1]
+
+
+PLAIN = {"WaySearch": OneWay, "SETTLING": 0, "LONG": 0, "WIDE": 0.0, "YIELDS": ((0.0, 1.0),)}
+
+
 def plainly(engine: Engine, at: Situation, num: int, seed: int) -> AnchorBatch:
-    """Plan along the searched ways as they are: no descent, no shapes of their own."""
-    own = body_planner.SETTLING, body_planner.LONG, body_planner.WIDE
-    body_planner.SETTLING, body_planner.LONG, body_planner.WIDE = 0, 0, 0.0
+    """Plan along the cheapest searched way as it is: no descent, no shapes, no waiting."""
+    own = {name: getattr(body_planner, name) for name in PLAIN}
     try:
+        for name, value in PLAIN.items():
+            setattr(body_planner, name, value)
         return ask(engine, at.fields(num, seed))
     finally:
-        body_planner.SETTLING, body_planner.LONG, body_planner.WIDE = own
+        for name, value in own.items():
+            setattr(body_planner, name, value)
 
 
 PLANNERS: dict[str, Callable[[Engine, Situation, int, int], AnchorBatch]] = {
@@ -217,22 +271,25 @@ PLANNERS: dict[str, Callable[[Engine, Situation, int, int], AnchorBatch]] = {
 def row_of(name: str, engine: Engine, situations: list[Situation], num: int) -> Row:
     """Return a planner's figures.
 
-    any: share of the situations with an anchor that is free, arrives and can be driven
+    any: share of the situations with an anchor called safe that is free, arrives and can be driven
     success, free, arrives, drivable: shares of the anchors
-    lies: anchors called safe that are not free, or cannot be driven; ms: median of a plan
+    touching: anchors called safe that are not free; lies: those, and those that cannot be driven
+    ms: median of a plan
     """
-    shares, lies, spent = [], 0, []
+    shares, touching, lies, spent = [], 0, 0, []
     for seed, at in enumerate(situations):
         began = time.perf_counter()
         found = PLANNERS[name](engine, at, num, seed)
         spent.append(1e3 * (time.perf_counter() - began))
         kept = verdicts(found, at)
         good = kept.all(1)
+        touching += int((found.safe & ~kept[:, 0]).sum())
         lies += int((found.safe & ~(kept[:, 0] & kept[:, 2])).sum())
-        shares.append([good.any(), good.mean(), *kept.mean(0)])
+        shares.append([(good & found.safe).any(), good.mean(), *kept.mean(0)])
     names = ("any", "success", "free", "arrives", "drivable")
     figures = dict(zip(names, np.mean(shares, axis=0).tolist(), strict=True))
-    return {"planner": name, **figures, "lies": lies, "ms": float(np.median(spent))}
+    counted = {"touching": touching, "lies": lies}
+    return {"planner": name, **figures, **counted, "ms": float(np.median(spent))}
 
 
 def bodies(

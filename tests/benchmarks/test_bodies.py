@@ -43,6 +43,11 @@ def test_the_judge_sees_walls_slips_and_where_a_bicycle_ends() -> None:
     assert not BodyJudge(bodies.FREE, 0.05, bodies.FORKLIFT).touches(path)
     assert BodyJudge(wall, 0.05, bodies.FORKLIFT).touches(path)
     assert not BodyJudge(wall, 0.05, bodies.FORKLIFT).touches(path[:30])
+    judge, at = BodyJudge(bodies.FREE, 0.05, bodies.FORKLIFT), np.array([[2.0, 0.0]])
+    comes, radii = np.stack([at, at - np.array([0.3, 0.0])], 1), np.array([0.3])
+    # Its front is at 0.45 + 0.5 t, that of what comes at 1.7 - 0.3 t: they meet after 1.56 s.
+    assert not judge.meets(path[:38], float(times[37]), comes, radii)
+    assert judge.meets(path[:40], float(times[39]), comes, radii)
     assert sideways(path + np.array([0, 0, 0.5]), velocity).min() < -0.2
     np.testing.assert_allclose(ahead(path, velocity), 0.5)
     np.testing.assert_allclose(driven(path, velocity, 2.0), [1.0, 0.0, 0.0], atol=2e-3)

@@ -156,25 +156,31 @@ def test_one_too_fast_for_the_wall_ahead_is_told_so(engine: Engine) -> None:
     assert not anchors.safe.any()
 
 
-def test_what_moves_is_waited_for_or_passed(engine: Engine) -> None:
-    crossing = {"position": [[0.0, -1.2]], "velocity": [[0.0, 0.5]], "radius": [0.3]}
+@pytest.mark.parametrize(
+    ("occupied", "place", "velocity"),
+    [
+        (FREE, [0.0, -1.2], [0.0, 0.5]),  # crosses
+        (walls((-2.9, 2.9, -1.1, 1.1)), [1.5, 0.1], [-0.7, 0.0]),  # comes: waiting does not help
+    ],
+)
+def test_what_moves_is_passed(
+    engine: Engine, occupied: np.ndarray, place: list[float], velocity: list[float]
+) -> None:
+    person = {"position": [place], "velocity": [velocity], "radius": [0.3]}
     start, goal = (-2.0, 0.0, 0.0), (2.0, 0.0, 0.0)
-    anchors = asked(engine, FREE, start, goal, obstacles=crossing)
-    assert anchors.safe.any()
-    blind = asked(engine, FREE, start, goal)
+    anchors = asked(engine, occupied, start, goal, obstacles=person)
+    assert_driven(anchors, occupied)
+    assert anchors.safe.mean() > 0.9
+    judge, blind = BodyJudge(occupied, RESOLUTION, FORKLIFT), asked(engine, occupied, start, goal)
+    places = np.array([[place, np.add(place, velocity)]])
 
-    def gap(batch: AnchorBatch, n: int | np.integer) -> float:
-        times = np.linspace(0.0, batch.durations[n], batch.trajectories.shape[1])
-        fine = np.linspace(0.0, times[-1], 2000)
-        x, y, heading = (np.interp(fine, times, z) for z in batch.trajectories[n].T)
-        away = np.stack([0.0 - x, -1.2 + 0.5 * fine - y], 1)
-        left = -away[:, 0] * np.sin(heading) + away[:, 1] * np.cos(heading)
-        front = away[:, 0] * np.cos(heading) + away[:, 1] * np.sin(heading)
-        beyond = np.stack([np.abs(front) - 0.45, np.abs(left) - 0.31], 1)
-        return float(np.hypot(*np.maximum(beyond, 0.0).T).min()) - 0.3
+    def met(batch: AnchorBatch) -> list[bool]:
+        lasting = batch.durations.tolist()
+        pairs = zip(batch.trajectories, lasting, batch.safe, strict=True)
+        return [judge.meets(path, s, places, np.array([0.3])) for path, s, safe in pairs if safe]
 
-    assert min(gap(anchors, n) for n in np.flatnonzero(anchors.safe)) >= 0.0
-    assert min(gap(blind, n) for n in range(24)) < 0.0
+    assert not any(met(anchors))
+    assert any(met(blind))
 
 
 def test_a_horizon_is_kept(engine: Engine) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.bodies.curves import KEPT, Pull, settle
+from anchorflow_trajectory.bodies.evasion import evading
 from anchorflow_trajectory.bodies.motion import CLOSE, COLUMNS, certify, drive, room_to_movers
 from anchorflow_trajectory.bodies.scene import BETWEEN, LEAST_CELL, BodyScene
 from anchorflow_trajectory.bodies.ways import Run, Stretch, WaySearch
@@ -45,15 +46,9 @@ class BodyPlanner:
 
     def plan(self, count: int, seed: int, certified_margin: float = 0.0) -> Refined:
         """Return `count` anchors with positions [N, T, 3]: x and y in m, heading in rad."""
-        ways = WaySearch(self.problem, self.run).find(certified_margin)
-        lines = [_Line.empty(way) for way in ways]
-
-        def lay(k: int) -> None:
-            lines[k] = self._line(ways[k], certified_margin)
-
-        self.run([partial(lay, k) for k in range(len(ways))])
-        # A way whose own curve touches something gets no anchors while another does not.
-        lines = [line for line in lines if line.safe] or lines
+        lines = [(self, line) for line in self._lines(certified_margin)]
+        if self.problem.scene.movers is not None:
+            lines = self._past_movers(lines, certified_margin)
         drawn, paces = _drawn(count, seed)
         # Anchors take the ways by turns; the first of each way keeps the way's own curve.
         of_line = [np.arange(k, count, len(lines)) for k in range(min(count, len(lines)))]
@@ -68,11 +63,59 @@ class BodyPlanner:
 
         def finish(at: int) -> None:
             k, own = parts[at]
-            driven[at] = self._anchors(lines[k], drawn[own[::PACED]], paces[own], certified_margin)
+            planner, line = lines[k]
+            driven[at] = planner._anchors(line, drawn[own[::PACED]], paces[own], certified_margin)
 
         self.run([partial(finish, at) for at in range(len(parts))])
         numbers = np.concatenate([np.full(len(own), k) for k, own in parts])
         return self._joined(driven, numbers)
+
+    def _lines(self, certified: float) -> list[_Line]:
+        """Return the lines of the ways."""
+        ways = WaySearch(self.problem, self.run).find(certified)
+        lines = [_Line.empty(way) for way in ways]
+
+        def lay(k: int) -> None:
+            lines[k] = self._line(ways[k], certified)
+
+        self.run([partial(lay, k) for k in range(len(ways))])
+        # A way whose own curve touches something gets no anchors while another does not.
+        return [line for line in lines if line.safe] or lines
+
+    def _past_movers(
+        self, lines: list[tuple[BodyPlanner, _Line]], certified: float
+    ) -> list[tuple[BodyPlanner, _Line]]:
+        """Return the lines that pass what moves, and others round where the first meets it.
+
+        Each has the planner for its map; all are returned if none passes.
+        """
+        poses, durations = self._at_paces(lines[0][1])
+        if (self._room_to_movers(poses, durations) < certified).any():
+            beside = replace(self, problem=evading(self.problem, poses, durations))
+            lines = lines + [(beside, line) for line in beside._lines(certified) if line.safe]
+        passes = [False] * len(lines)
+
+        def attempt(k: int) -> None:
+            owner, line = lines[k]
+            shapes = np.zeros((1, 2, 3))
+            passes[k] = owner._anchors(line, shapes, np.array(PACES), certified).safe.any()
+
+        self.run([partial(attempt, k) for k in range(len(lines))])
+        return [line for k, line in enumerate(lines) if passes[k]] or lines
+
+    def _at_paces(self, line: _Line) -> tuple[FloatArray, FloatArray]:
+        """Return the poses [P, T, 3] along a line at each of the PACES, and their durations [P]."""
+        driven, every = _Driven.empty(len(PACES), self.steps), np.arange(len(PACES))
+        table = np.repeat(line.table, len(PACES), 0)
+        self._drive(line, table, driven, every, np.array(PACES), 0.0)
+        return driven.motion[0], driven.duration
+
+    def _room_to_movers(self, poses: FloatArray, durations: FloatArray) -> FloatArray:
+        """Return [N] m of room that poses [N, T, 3] leave to what moves."""
+        outline, movers = self.problem.body.outline, self.problem.scene.movers
+        assert movers is not None
+        discs = Discs.of(movers, np.float64)
+        return room_to_movers(poses, durations, discs, outline.corners, outline.reach)
 
     def _line(self, way: list[Stretch], certified: float) -> _Line:
         """Return a way's own curve, with room about it if that can be had."""
@@ -191,8 +234,7 @@ class BodyPlanner:
         """Let anchors that meet something that moves wait, or drive slower, until they do not."""
         if self.problem.scene.movers is None:
             return
-        discs = Discs.of(self.problem.scene.movers, np.float64)
-        outline, free, room = self.problem.body.outline, driven.safe.copy(), driven.room.copy()
+        free, room = driven.safe.copy(), driven.room.copy()
         chosen = np.flatnonzero(free)
         for wait, slower in YIELDS:
             if wait or slower != 1.0:
@@ -202,10 +244,7 @@ class BodyPlanner:
                 free[chosen] &= self._drive(line, table, driven, chosen, own, wait)
             if not len(chosen):
                 return
-            found = room_to_movers(
-                driven.motion[0, chosen], driven.duration[chosen], discs, outline.corners,
-                outline.reach,
-            )  # fmt: skip
+            found = self._room_to_movers(driven.motion[0, chosen], driven.duration[chosen])
             driven.safe[chosen] = free[chosen] & (found >= certified)
             driven.room[chosen] = np.minimum(room[chosen], found)
             chosen = chosen[~driven.safe[chosen]]
