@@ -113,6 +113,8 @@ def import_file(
         meta = import_scenes(
             dataset, out, config, workers=workers, progress=lambda n: bar.advance(task, n)
         )
+    if dataset.ignored:
+        typer.echo(f"arrays that nothing reads: {', '.join(dataset.ignored)}", err=True)
     left_out = meta["left_out"]
     reasons = ", ".join(f"{reason.replace('_', ' ')} {n}" for reason, n in left_out.items() if n)
     typer.echo(f"{out}: {meta['scenes']} scenes, T {meta['num_steps']}, D {meta['dim']}")

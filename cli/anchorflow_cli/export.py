@@ -70,6 +70,17 @@ def export(
         float | None,
         typer.Option(min=0.001, help="Of the first descent [m].", show_default=f"{DESCENT_RATE}"),
     ] = None,
+    score: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME=NUMBER,...",
+            help="GoalFlow: weights of a trajectory's score, such as progress=12,route=0.3.",
+        ),
+    ] = None,
+    goal_inputs: Annotated[
+        bool,
+        typer.Option("--goal-inputs", help="GoalFlow: requests may bring goals and score weights."),
+    ] = False,
     int8: Annotated[
         bool, typer.Option("--int8", help="Field and encoder in eight bits: faster, rounded.")
     ] = False,
@@ -84,6 +95,8 @@ def export(
         "safety_margin": safety_margin,
         "refine_steps": refine_steps,
         "refine_rate": refine_rate,
+        "score": score and _weights(score),
+        "goal_inputs": goal_inputs or None,
     }
     asked = {name: value for name, value in asked.items() if value is not None}
     check_used(saved.planner, [*asked, *(["int8"] if int8 else [])])
@@ -133,6 +146,16 @@ def _limits(checkpoint: Checkpoint) -> dict[str, Any]:
         told["limits"] = MotionLimits(**data["limits"])
         told["ranges"] = {n: tuple(ranges[n]) for n in LIMITS if n in ranges}
     return told
+
+
+def _weights(text: str) -> dict[str, float]:
+    """Parse "progress=12,route=0.3"."""
+    try:
+        return {name: float(value) for name, value in (p.split("=") for p in text.split(","))}
+    except ValueError:
+        raise typer.BadParameter(
+            f"expected NAME=NUMBER,..., got {text!r}", param_hint="--score"
+        ) from None
 
 
 def _sampler(

@@ -56,6 +56,8 @@ class ExportChoices:
     ranges: least and greatest value of the limits that a request may set
     robot_radius, safety_margin: m, defaults of the card
     refine_steps: descents on each anchor; refine_rate: m, of the first of them
+    score: weights of a trajectory's score that replace the configuration's, by name
+    goal_inputs: whether a request may bring goals and score weights of its own
     """
 
     sampler: SamplerChoice = field(default_factory=SamplerChoice)
@@ -66,6 +68,8 @@ class ExportChoices:
     safety_margin: float = 0.1
     refine_steps: int = 20
     refine_rate: float = DESCENT_RATE
+    score: Mapping[str, float] = field(default_factory=dict)
+    goal_inputs: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

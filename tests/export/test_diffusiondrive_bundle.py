@@ -18,7 +18,7 @@ from anchorflow_service.bundle.manifest import TruncatedDiffusionEntry
 from anchorflow_service.local import LocalClient
 
 EXTRAS = (
-    *("coarse_scores", "sub_scores", "direction_scores"),
+    *("coarse_scores", "sub_scores", "direction_scores", "poses_cls"),
     *("agents", "agent_scores", "bev_semantics"),
 )
 CANDIDATES = 4 * 2 * 2 + 3
@@ -86,6 +86,7 @@ def test_an_answer_holds_what_was_asked_for(client: LocalClient) -> None:
         "coarse_scores": (4,),
         "sub_scores": (4, 5),
         "direction_scores": (4,),
+        "poses_cls": (4,),
         "agents": (30, 5),
         "agent_scores": (30,),
         "bev_semantics": (3, 8, 16),

@@ -2,22 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import ego_status
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.parity import prove_parity
-from anchorflow_export.planners.goalflow import goalflow_adapter
+from anchorflow_export.planners.goalflow import WEIGHTS, goalflow_adapter
+from anchorflow_export.tracing import ExportError
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.config import ScoreWeights
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.local import LocalClient
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
 
 SHIPPED = DEFAULT_BUNDLE.parent / "goalflow"
+OWN = ("trajectory_goals",)
+
+
+GOALS = np.array([[20.0, 4.0], [12.0, -2.0], [28.0, 0.0]], np.float32)
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "goalflow.pt"
+
+
+def street() -> dict[str, np.ndarray]:
+    """A car at 6 m/s on a straight road, in the order of `encode`."""
+    bev = np.zeros((20, 192, 128), np.uint8)
+    bev[0, :, 48:80] = bev[1, :, 63:65] = 255
+    status = ego_status(command="straight", velocity=(6.0, 0.0), acceleration=(0.0, 0.0))
+    return {"bev": bev, "ego_status": status, "vehicle_size": np.array([4.6, 1.9], np.float32)}
 
 
 def test_the_spread_of_the_noise_is_the_bundles_and_not_the_networks() -> None:
@@ -36,6 +54,63 @@ def test_random_scenes_have_scores_that_differ() -> None:
     assert scores.max() > 1.1 * scores.min()
 
 
+@pytest.fixture(scope="module")
+def asked(exported: Callable[[str], Any]) -> LocalClient:
+    """A small GoalFlow whose requests may bring goals and weights."""
+    return LocalClient.of(exported("goalflow").path, threads=1)
+
+
+def test_trajectories_are_drawn_to_the_goals_of_a_request_in_turn(asked: LocalClient) -> None:
+    for count in (1, 3):
+        told = asked.plan(
+            inputs={**street(), "goal": GOALS[:count]}, num_samples=6, outputs=OWN, seed=0
+        )
+        np.testing.assert_array_equal(told.arrays[OWN[0]], np.resize(GOALS[:count], (6, 2)))
+    plain = asked.plan(inputs=street(), num_samples=6, outputs=OWN, seed=0)
+    assert {"goal", "score_weights", "route"} == {*plain.absent_inputs}
+    assert len({*map(tuple, plain.arrays[OWN[0]].tolist())}) == 6
+    two = {name: np.stack([array, array]) for name, array in street().items()}
+    own = np.stack([GOALS, 0 * GOALS])  # the second has none
+    both = asked.plan(inputs={**two, "goal": own}, num_samples=6, outputs=OWN, seed=0)
+    np.testing.assert_array_equal(both.arrays[OWN[0]][0], np.resize(GOALS, (6, 2)))
+    np.testing.assert_array_equal(both.trajectories[1], plain.trajectories)
+
+
+@torch.no_grad()
+def test_the_weights_that_ship_end_nearest_to_their_own_goal() -> None:
+    model = restore_model(load_checkpoint(CHECKPOINT))
+    inputs = [torch.from_numpy(each)[None] for each in street().values()]
+    context = model.encode(*inputs, goal=torch.from_numpy(GOALS)[None])
+    mean = context["prior_mean"][:, :30]
+    x = model.draw(torch.randn(1, 30, 24, generator=torch.Generator().manual_seed(0)), mean)
+    x = x + model.field(x, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
+    apart = (x[0, :, None, -1, :2] - torch.from_numpy(GOALS)).norm(dim=-1)
+    assert apart.argmin(-1).tolist() == [0, 1, 2] * 10
+    assert apart[2::3, 2].mean() < 1.0  # straight ahead
+
+
+def test_a_score_has_the_weights_of_the_export_or_of_the_request(asked: LocalClient) -> None:
+    def scores(**weights: float) -> np.ndarray:
+        row = np.array([{**vars(ScoreWeights()), **weights}[name] for name in WEIGHTS], np.float32)
+        inputs = {**street(), **({"score_weights": row} if weights else {})}
+        return asked.plan(inputs=inputs, num_samples=16, seed=0).scores
+
+    own = scores()
+    np.testing.assert_allclose(scores(comfort=2.0), own, rtol=1e-4)  # as exported
+    slow = scores(clear_speed=4.0)
+    assert (slow >= 0.999 * own).all()
+    assert (slow > 1.02 * own).any()
+    model = GoalFlow(GoalFlowConfig())
+    adapter = goalflow_adapter(model, ExportChoices(score={"comfort": 3.0}))
+    assert adapter.roles["score"].model.config.score == ScoreWeights(comfort=3.0)
+    for wrong, said in (
+        ({"speed": 1.0}, "of route, goal, .* got speed"),
+        ({"goal": -1.0}, "at le"),
+    ):
+        with pytest.raises(ExportError, match=f"score.*: expected {said}"):
+            goalflow_adapter(model, ExportChoices(score=wrong))
+
+
 def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:
     adapter = goalflow_adapter(GoalFlow(GoalFlowConfig()), ExportChoices())
     manifest = load_bundle(SHIPPED).manifest
@@ -44,7 +119,7 @@ def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:
 
 
 def test_the_checkpoint_has_the_weights_of_the_bundle_that_ships() -> None:
-    saved = load_checkpoint(Path(__file__).parents[2] / "checkpoints" / "goalflow.pt")
+    saved = load_checkpoint(CHECKPOINT)
     bundle = load_bundle(SHIPPED)
     adapter = goalflow_adapter(restore_model(saved), ExportChoices())
     prove_parity(adapter, bundle, tolerance=1e-4)

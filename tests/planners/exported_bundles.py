@@ -63,7 +63,8 @@ CHOICES = {
         ranges={"v_max": (0.2, 4.0), "a_max": (0.3, 6.0), "horizon_s": (1.0, 60.0)},
         robot_radius=0.3,
         sampler=SamplerChoice("rk4", EIGHT_STEP_SCHEDULE),
-    )
+    ),
+    "goalflow": ExportChoices(goal_inputs=True),
 }
 
 

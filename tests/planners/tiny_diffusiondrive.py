@@ -54,4 +54,7 @@ def tiny_diffusiondrive(config: DiffusionDriveConfig = TINY) -> DiffusionDriveV2
         for parameter in model.parameters():
             if not parameter.any():
                 parameter.normal_(0, 0.05)
+        model.vocabulary[..., 0] = (
+            torch.linspace(0.5, 8.0, 8) * torch.arange(len(model.vocabulary))[:, None]
+        )
     return model

@@ -48,6 +48,12 @@ def imported(path: Path, out: Path, **options: Any) -> SceneDataset:
     return open_dataset(out)
 
 
+def test_pictures_are_no_condition(tmp_path: Path) -> None:
+    path = l2_file(tmp_path / "l2.npz", [3.0], scene_images=np.zeros((1, 3, 8, 8), np.uint8))
+    with pytest.raises(DatasetError, match=r"l2\.npz: scene_images: expected no pictures, which"):
+        imported(path, tmp_path / "out")
+
+
 def test_a_sample_becomes_a_scene(tmp_path: Path) -> None:
     styles = np.array([[2.0, 1.0, 1.0], [0.0, 0.0, 5.0]])
     path = l2_file(tmp_path / "l2.npz", [3.0, 2.0], style_weights=styles)

@@ -57,6 +57,19 @@ def test_a_heading_runs_on_beyond_pi() -> None:
     np.testing.assert_allclose(unwrap_heading(wrapped)[0, :, 2], heading)
 
 
+def test_arrays_in_memory_are_as_a_file_of_them(tmp_path: Path) -> None:
+    arrays = l2_arrays()
+    read = TrajectoryDataset(saved(tmp_path / "l2.npz", **arrays)).read(slice(None))
+    tensors = {name: torch.as_tensor(np.asarray(values)) for name, values in arrays.items()}
+    for held in (arrays, tensors):
+        found = TrajectoryDataset.from_arrays(held)
+        assert len(found) == COUNT
+        for name, values in found.read(slice(None)).items():
+            np.testing.assert_array_equal(values, read[name])
+    with pytest.raises(DatasetError, match=r"mine: goal_states: expected \[\d+, 4\]"):
+        TrajectoryDataset.from_arrays({**arrays, "goal_states": np.zeros(3)}, name="mine")
+
+
 def test_rows_that_are_not_finite_are_left_out_and_named(tmp_path: Path) -> None:
     arrays = l2_arrays()
     arrays["positions"][3, 4, 1] = np.nan

@@ -22,9 +22,10 @@ ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
 }
 """Functions that adapt a network."""
 
+OF_GOALFLOW = ("score", "goal_inputs")
 USES: Mapping[str, tuple[str, ...]] = {
-    "flowmp": (*ExportChoices.__dataclass_fields__, "int8"),
-    "goalflow": ("sampler", "noise_scale"),
+    "flowmp": (*(n for n in ExportChoices.__dataclass_fields__ if n not in OF_GOALFLOW), "int8"),
+    "goalflow": ("sampler", "noise_scale", *OF_GOALFLOW),
     "diffusiondrive": ("noise_scale",),
 }
 """The `ExportChoices`, and those of `quantize_bundle`, that a planner uses; others use none."""

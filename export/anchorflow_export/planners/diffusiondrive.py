@@ -22,6 +22,7 @@ from anchorflow_export.planners.random_requests import (
     sensor_inputs,
     sensor_request,
 )
+from anchorflow_export.tracing import ExportError
 from anchorflow_models.diffusiondrive import DiffusionDriveV2
 from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, STEP_S
 from anchorflow_models.sub_scores import SUB_SCORES
@@ -35,7 +36,10 @@ OUTPUTS = {
         *("agents", "agent_scores", "bev_semantics"),
     ),
     "denoise": ("x_0", "trajectories", "class_scores"),
-    "coarse": ("candidates", "features", "coarse_scores", "coarse_logits", "coarse_imitation"),
+    "coarse": (
+        *("candidates", "features", "coarse_scores", "poses_cls"),
+        *("coarse_logits", "coarse_imitation"),
+    ),
     "fine": ("scores", "sub_scores", "direction_scores"),
 }
 OWN = (
@@ -53,8 +57,16 @@ def start_level(model: DiffusionDriveV2, noise_scale: float) -> int:
 
 
 def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> PlannerAdapter:
-    """Adapt a network, whose own configuration says how it is sampled."""
+    """Adapt a network, whose own configuration says how it is sampled.
+
+    Raises:
+        ExportError: its vocabulary is empty.
+    """
     config = model.config
+    try:
+        model.check_vocabulary()
+    except ValueError as error:
+        raise ExportError(str(error)) from error
     inputs = sensor_inputs(config.backbone)
     names = tuple(spec.name for spec in inputs)
     direction = TensorSpec("direction_scores", F32, ("B", "N"), range=(0.0, 1.0))
@@ -86,6 +98,7 @@ def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> P
                     TensorSpec("coarse_scores", F32, ("B", "N"), range=(0.0, 1.0)),
                     TensorSpec("sub_scores", F32, ("B", "N", len(SUB_SCORES)), range=(0.0, 1.0)),
                     *((direction,) if config.direction else ()),
+                    TensorSpec("poses_cls", F32, ("B", "N")),
                     *perceived(config.backbone, agents=AGENT_QUERIES, classes=config.classes),
                 ),
             ),

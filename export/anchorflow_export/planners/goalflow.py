@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
+from dataclasses import fields, replace
 from functools import partial
 
 from anchorflow_client.contract import (
@@ -22,7 +24,9 @@ from anchorflow_export.planners.random_requests import (
     STATUS_UNIT,
     street_request,
 )
-from anchorflow_models.goalflow import BevLayout, GoalFlow
+from anchorflow_export.tracing import ExportError
+from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow.config import ScoreWeights
 from anchorflow_models.goalflow.goalflow import STATE, SURROUNDINGS
 from anchorflow_models.torch_graphs import Role
 from anchorflow_service.bundle.manifest import GuardEntry, OdeEntry, PriorEntry, RasterEntry
@@ -32,7 +36,7 @@ ENCODE_OUTPUTS = (
     *(PRIOR_MEAN, PRIOR_BASIS, "goals", "goal_scores", "features", "context", "course"),
     *SURROUNDINGS,
 )
-TRIALS = ({"B": 1, "N": 7, "K": 3}, {"B": 3, "N": 5, "K": 1})
+TRIALS = ({"B": 1, "N": 7, "K": 3, "G": 1}, {"B": 3, "N": 5, "K": 1, "G": 4})
 SAMPLED = 17  # anchors, enough for two slices
 DEFAULT_SAMPLER = OdeSpec("euler", uniform_schedule(1))
 
@@ -41,6 +45,26 @@ MOST_STATUS = 32.0
 STATUS = TensorSpec("ego_status", F32, ("B", 8), STATUS_UNIT, (-MOST_STATUS, MOST_STATUS))
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
 ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
+
+
+WEIGHTS = tuple(each.name for each in fields(ScoreWeights))
+OF_A_REQUEST = (
+    TensorSpec("goal", F32, ("B", "G", 2), "m", (-1e3, 1e3), optional=True),
+    TensorSpec(
+        "score_weights", F32, ("B", len(WEIGHTS)), ", ".join(WEIGHTS), (0.0, 1e3), optional=True
+    ),
+)
+"""Inputs of a bundle whose requests may bring them."""
+
+
+def _scored_by(config: GoalFlowConfig, weights: Mapping[str, float]) -> GoalFlowConfig:
+    """Return the configuration with some weights of its score changed."""
+    if unknown := set(weights) - set(WEIGHTS):
+        raise ExportError(f"score: expected of {', '.join(WEIGHTS)}, got {', '.join(unknown)}")
+    try:
+        return replace(config, score=replace(config.score, **weights))
+    except ValueError as error:
+        raise ExportError(str(error)) from error
 
 
 def bev_spec(layout: BevLayout) -> TensorSpec:
@@ -53,10 +77,14 @@ def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
     """Adapt a copy of a trained network, whose noise gets the spread of the choices."""
     model = deepcopy(model)
     model.noise_scale = choices.noise_scale
-    config, sampler = model.config, choices.sampler.over(DEFAULT_SAMPLER)
-    inputs = (bev_spec(config.bev), STATUS, SIZE, ROUTE)
+    model.config = config = _scored_by(model.config, choices.score)
+    sampler, more = choices.sampler.over(DEFAULT_SAMPLER), OF_A_REQUEST * choices.goal_inputs
+    inputs = (bev_spec(config.bev), STATUS, SIZE, ROUTE, *more)
     names = tuple(spec.name for spec in inputs)
-    scored = ("x_1", PRIOR_MEAN, *model.context_for_score)
+    told = ("weights",) if more else ()
+    aims = TensorSpec("trajectory_goals", F32, ("B", "N", 2), "m")
+    scored = ("x_1", PRIOR_MEAN, *model.context_for_score, *told)
+    encoded = (*ENCODE_OUTPUTS, *told, *((aims.name,) if more else ()))
     states = ("B", "N", config.num_steps, STATE)
     return PlannerAdapter(
         parts=PlannerParts(
@@ -80,11 +108,12 @@ def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
                 extras=(
                     TensorSpec("goals", F32, ("B", config.goals, 2), "m"),
                     TensorSpec("goal_scores", F32, ("B", config.goals), "", (0.0, 1.0)),
+                    *((aims,) if more else ()),
                 ),
             ),
         ),
         roles={
-            "encode": Role(model, "encode", inputs=names, outputs=ENCODE_OUTPUTS),
+            "encode": Role(model, "encode", inputs=names, outputs=encoded),
             **flow_roles(model, model.context_for_modulate, model.context_for_field),
             "score": Role(model, "score", inputs=scored, outputs=("scores",)),
         },

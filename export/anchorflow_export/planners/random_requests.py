@@ -151,7 +151,7 @@ def sensor_request(card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
     return _request(inputs)
 
 
-def street_request(layout: BevLayout, _card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
+def street_request(layout: BevLayout, card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
     """Return a request for cars in straight streets of any width, with blocks beside them."""
     generator, B = torch.Generator().manual_seed(seed), sizes["B"]
     right, left = layout.extent[2:]
@@ -166,14 +166,21 @@ def street_request(layout: BevLayout, _card: ModelCard, sizes: Sizes, seed: int)
     speed = FASTEST * torch.rand(B, 1, generator=generator)
     pulls = SHARPEST * (2 * torch.rand(B, 2, generator=generator) - 1)
     motion = torch.cat([_commands(B, generator), speed, torch.zeros(B, 1), pulls], -1)
-    return _request(
-        {
-            "bev": bev,
-            "ego_status": motion,
-            "vehicle_size": 2 + 3 * torch.rand(B, 2, generator=generator),
-            "route": _routes(B, generator),
-        }
-    )
+    inputs = {
+        "bev": bev,
+        "ego_status": motion,
+        "vehicle_size": 2 + 3 * torch.rand(B, 2, generator=generator),
+        "route": _routes(B, generator),
+    }
+    own = {spec.name: spec for spec in card.inputs if spec.name not in inputs}
+    told = (torch.arange(B) < max(1, B - 1))[:, None]  # the last of several scenes has none
+    if "goal" in own:
+        goals = torch.rand(B, sizes.get("G", 3), 2, generator=generator)
+        inputs["goal"] = told[..., None] * (goals * torch.tensor([60.0, 20.0]) - 10.0)
+    if "score_weights" in own:
+        drawn = 10 * torch.rand(B, *own["score_weights"].shape[1:], generator=generator)
+        inputs["score_weights"] = told * drawn
+    return _request(inputs)
 
 
 def _routes(B: int, generator: torch.Generator) -> Tensor:

@@ -209,9 +209,13 @@ class DiffusionDriveV2(nn.Module):
         ego_query: Tensor,
         ego_motion: Tensor | None = None,
         foretold: Tensor | None = None,
+        *,
+        class_scores: Tensor,
     ) -> Outputs:
-        """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none ->
+        """trajectories: [B, N, T, 3]; diversity: [B, N, V, 2] standard normal, 0 for none;
+        class_scores: [B, N] ->
         candidates [B, M, T, 3], M = N V and the vocabulary; features, coarse_scores [B, M];
+        poses_cls [B, M], the class score of what each came from, of the vocabulary the least;
         coarse_logits [B, M, 5 or 6] and, with `imitation`, coarse_imitation [B, M]
         """
         candidates = self.candidates(trajectories, diversity)
@@ -221,9 +225,29 @@ class DiffusionDriveV2(nn.Module):
             "candidates": candidates,
             "features": scored.features,
             "coarse_scores": scored.scores,
+            "poses_cls": self.of_candidates(class_scores, variants=diversity.shape[2]),
             "coarse_logits": scored.logits,
             **({} if scored.imitation is None else {"coarse_imitation": scored.imitation}),
         }
+
+    def of_candidates(self, class_scores: Tensor, *, variants: int) -> Tensor:
+        """[B, M] of class scores [B, N]: each variant has its trajectory's."""
+        own = class_scores[..., None].expand(-1, -1, variants).flatten(1)
+        if not len(self.vocabulary):
+            return own
+        least = class_scores.amin(-1, keepdim=True)
+        return torch.cat([own, least.expand(-1, len(self.vocabulary))], -1)
+
+    def set_vocabulary(self, poses: Tensor) -> None:
+        """Take fixed candidates [K, T, 3]. Raises ValueError if all of them are zero."""
+        self.vocabulary.copy_(poses)
+        self.check_vocabulary()
+
+    def check_vocabulary(self) -> None:
+        """Raise ValueError if the vocabulary was never filled."""
+        count = len(self.vocabulary)
+        if count and not self.vocabulary.any():
+            raise ValueError(f"vocabulary: expected {count} trajectories, got zeros alone")
 
     def candidates(self, trajectories: Tensor, diversity: Tensor) -> Tensor:
         """[B, M, T, 3]: the variants of trajectories [B, N, T, 3], and the vocabulary; those that

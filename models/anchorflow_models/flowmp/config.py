@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 from anchorflow_models.checks import check
+from anchorflow_models.layers.attention import ACTIVATIONS
+from anchorflow_models.layers.blocks import GROUPS
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 
@@ -31,16 +33,43 @@ CHOICES = {
     "map_scales": (1, 2),
     "map_lookup": (True, False),
     "map_attention": (True, False),
+    "activation": tuple(ACTIVATIONS),
 }
-LEAST = {"map_channels": 1, "map_size": 8, "feature_channels": 0, "degree": 3, "layers": 0}
+LEAST = {
+    "map_channels": 1,
+    "map_size": 8,
+    "feature_channels": 0,
+    "degree": 3,
+    "layers": 0,
+    "width": 0,
+    "heads": 0,
+    "condition_width": 1,
+    "fourier_features": 1,
+}
 MAP_STRIDE = 8  # the map encoder halves its window three times
 ENDS_FIX = 5  # control points that p_0, v_0, a_0, p_T, v_T determine
 
 
-def transformer_size(variant: str, layers: int = 0) -> TransformerSize:
-    """The variant's size, with another number of blocks where one is given."""
-    size = VARIANTS[variant]
-    return replace(size, layers=layers or size.layers)
+def transformer_size(
+    variant: str, *, layers: int = 0, width: int = 0, heads: int = 0
+) -> TransformerSize:
+    """The variant's size, with other numbers where they are given.
+
+    Raises:
+        ValueError: the width is no even multiple of the heads.
+    """
+    own = VARIANTS[variant]
+    size = TransformerSize(width or own.width, layers or own.layers, heads or own.heads)
+    fits = size.width % size.heads == 0 and size.width % 2 == 0
+    check("width", fits, f"an even multiple of heads, {size.heads}", size.width)
+    return size
+
+
+def unet_width(variant: str, width: int = 0) -> int:
+    """The variant's channels at the full number of steps, or others. Raises ValueError for those
+    that its groups do not divide."""
+    check("width", width % GROUPS == 0, f"a multiple of {GROUPS}", width)
+    return width or UNET_WIDTHS[variant]
 
 
 @dataclass(frozen=True)
@@ -55,7 +84,10 @@ class L2Config:
     map_scales: 2 looks at a second window besides, twice as wide and half as fine
     map_lookup: every time step reads the map's features at its own place
     map_attention: the trajectory's tokens attend to a coarse grid of map tokens
-    layers: blocks of the transformer; 0: as many as the variant has
+    layers, heads: of the transformer; width: of either backbone; 0: as the variant has
+    activation: of the transformer's feed-forwards
+    condition_width: numbers of a scene that the condition has
+    fourier_features, fourier_scale: how many random rates tell flow time, and their spread
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -75,6 +107,12 @@ class L2Config:
     map_lookup: bool = True
     map_attention: bool = False
     layers: int = 0
+    width: int = 0
+    heads: int = 0
+    activation: str = "squared_relu"
+    condition_width: int = 256
+    fourier_features: int = 64
+    fourier_scale: float = 2.0
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -90,11 +128,18 @@ class L2Config:
         check("num_control_points", points >= least, f"at least {least}", points)
         needed = f"at least num_control_points, {points}"
         check("num_steps", self.num_steps >= points, needed, self.num_steps)
+        check("fourier_scale", self.fourier_scale > 0, "above 0", self.fourier_scale)
+        if self.backbone == "unet":
+            unet_width(self.variant, self.width)
+        else:
+            _ = self.size
 
     @property
     def size(self) -> TransformerSize:
         """The size of the transformer."""
-        return transformer_size(self.variant, self.layers)
+        return transformer_size(
+            self.variant, layers=self.layers, width=self.width, heads=self.heads
+        )
 
     @property
     def state_dim(self) -> int:

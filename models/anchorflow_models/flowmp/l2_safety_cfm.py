@@ -34,7 +34,12 @@ from anchorflow_models.layers.places import PLACE_OCTAVES, fourier_places, looku
 
 Context = dict[str, Tensor]
 
-CONDITION_WIDTH = 256
+OF_BOTH = (
+    *("num_steps", "condition_width", "map_attention", "width"),
+    *("fourier_features", "fourier_scale"),
+)
+OF_TRANSFORMER = ("steps_per_token", "layers", "heads", "activation")
+"""Options of the configuration that the backbones take."""
 ROUTE_CHANNELS = 7  # channels of a step that describe its route
 PACE_CHANNELS = 4  # velocity and acceleration in shares of their limits
 STEEPNESS = (1 / 3, 1 / 20)  # p' and p'' of a route times these are of order one
@@ -64,30 +69,17 @@ class L2SafetyCFM(nn.Module):
         self.wider_map_encoders = nn.ModuleList(
             CostMapEncoder(self.window.channels, features) for _ in range(config.map_scales - 1)
         )
-        self.condition_encoder = ConditionEncoder(config, CONDITION_WIDTH)
+        self.condition_encoder = ConditionEncoder(config, config.condition_width)
         self.map_summary = nn.Linear(
-            config.map_scales * self.cost_map_encoder.summary_size, CONDITION_WIDTH
+            config.map_scales * self.cost_map_encoder.summary_size, config.condition_width
         )
+        shared = {"state_dim": config.state_dim, "feature_channels": self._seen_channels()}
+        shared |= {name: getattr(config, name) for name in OF_BOTH}
         if config.backbone == "unet":
-            self.unet = create_flowmp_unet1d(
-                config.variant,
-                state_dim=config.state_dim,
-                num_steps=config.num_steps,
-                feature_channels=self._seen_channels(),
-                condition_width=CONDITION_WIDTH,
-                map_attention=config.map_attention,
-            )
+            self.unet = create_flowmp_unet1d(config.variant, **shared)
         else:
-            self.transformer = create_flowmp_transformer(
-                config.variant,
-                state_dim=config.state_dim,
-                num_steps=config.num_steps,
-                feature_channels=self._seen_channels(),
-                condition_width=CONDITION_WIDTH,
-                steps_per_token=config.steps_per_token,
-                map_attention=config.map_attention,
-                layers=config.layers,
-            )
+            shared |= {name: getattr(config, name) for name in OF_TRANSFORMER}
+            self.transformer = create_flowmp_transformer(config.variant, **shared)
         if config.map_attention:
             self.map_tokens = MapTokens(
                 self.cost_map_encoder.coarse_channels,

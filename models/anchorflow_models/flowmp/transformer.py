@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -30,10 +32,19 @@ class VectorField(nn.Module):
     reaches it through the modulation alone, which no sample changes.
     """
 
-    def __init__(self, *, condition_width: int, neutral_modulation: Tensor) -> None:
+    def __init__(
+        self,
+        *,
+        condition_width: int,
+        neutral_modulation: Tensor,
+        fourier_features: int = 64,
+        fourier_scale: float = 2.0,
+    ) -> None:
         """neutral_modulation: [M], with which every block starts, whatever the condition."""
         super().__init__()
-        self.time = GaussianFourierTime(condition_width)
+        self.time = GaussianFourierTime(
+            condition_width, features=fourier_features, scale=fourier_scale
+        )
         to_modulation = zero_linear(condition_width, len(neutral_modulation))
         with torch.no_grad():
             to_modulation.bias.copy_(neutral_modulation)
@@ -82,10 +93,13 @@ class FlowMPTransformer(VectorField):
         condition_width: int,
         steps_per_token: int = 8,
         map_attention: bool = False,
+        activation: str = "squared_relu",
+        **time: Any,
     ) -> None:
         super().__init__(
             condition_width=condition_width,
             neutral_modulation=neutral_modulation(size.width, blocks=size.layers),
+            **time,
         )
         self.num_steps, self.extra_steps = num_steps, -num_steps % steps_per_token
         self.steps_per_token = steps_per_token
@@ -93,7 +107,7 @@ class FlowMPTransformer(VectorField):
         self.tokens = (num_steps + self.extra_steps) // steps_per_token
         self.register_buffer("positions", sinusoidal_positions(self.tokens, size.width))
         self.blocks = nn.ModuleList(
-            AdaLNBlock(size.width, size.heads, map_attention=map_attention)
+            AdaLNBlock(size.width, size.heads, map_attention=map_attention, activation=activation)
             for _ in range(size.layers)
         )
         self.norm = nn.LayerNorm(size.width, elementwise_affine=False)
@@ -127,21 +141,21 @@ def create_flowmp_transformer(
     num_steps: int = 64,
     feature_channels: int = 32,
     condition_width: int = 256,
-    steps_per_token: int = 8,
-    map_attention: bool = False,
     layers: int = 0,
+    width: int = 0,
+    heads: int = 0,
+    **options: Any,
 ) -> FlowMPTransformer:
     """A transformer of a named size: "small", "base" or "large"; raises ValueError on another.
 
-    layers: 0: as many as that size has
+    layers, width, heads: 0: as that size has; options: `FlowMPTransformer`'s others
     """
     check_choice("variant", variant, tuple(VARIANTS))
     return FlowMPTransformer(
-        transformer_size(variant, layers),
+        transformer_size(variant, layers=layers, width=width, heads=heads),
         state_dim=state_dim,
         num_steps=num_steps,
         feature_channels=feature_channels,
         condition_width=condition_width,
-        steps_per_token=steps_per_token,
-        map_attention=map_attention,
+        **options,
     )

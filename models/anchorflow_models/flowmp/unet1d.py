@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_models.flowmp.config import UNET_WIDTHS, check_choice
+from anchorflow_models.flowmp.config import UNET_WIDTHS, check_choice, unet_width
 from anchorflow_models.flowmp.transformer import VectorField, repeat_last_step
 from anchorflow_models.layers.attention import MapAttention
 from anchorflow_models.layers.blocks import GROUPS, FiLMBlock, zero_linear
@@ -36,6 +37,7 @@ class FlowMPUNet1D(VectorField):
         feature_channels: int,
         condition_width: int,
         map_attention: bool = False,
+        **time: Any,
     ) -> None:
         widths = [multiplier * width for multiplier in MULTIPLIERS]
         levels = list(pairwise(widths))
@@ -46,6 +48,7 @@ class FlowMPUNet1D(VectorField):
         super().__init__(
             condition_width=condition_width,
             neutral_modulation=torch.cat([block.neutral_modulation() for block in blocks]),
+            **time,
         )
         self.num_steps, self.extra_steps = num_steps, -num_steps % STRIDE
         self.project_in = nn.Linear(state_dim + feature_channels, width)
@@ -108,15 +111,19 @@ def create_flowmp_unet1d(
     num_steps: int = 64,
     feature_channels: int = 32,
     condition_width: int = 256,
-    map_attention: bool = False,
+    width: int = 0,
+    **options: Any,
 ) -> FlowMPUNet1D:
-    """A U-Net of a named size: "small", "base" or "large"; raises ValueError on another."""
+    """A U-Net of a named size: "small", "base" or "large"; raises ValueError on another.
+
+    width: 0: as that size has; options: `FlowMPUNet1D`'s others
+    """
     check_choice("variant", variant, tuple(UNET_WIDTHS))
     return FlowMPUNet1D(
-        UNET_WIDTHS[variant],
+        unet_width(variant, width),
         state_dim=state_dim,
         num_steps=num_steps,
         feature_channels=feature_channels,
         condition_width=condition_width,
-        map_attention=map_attention,
+        **options,
     )

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from anchorflow_models.checks import check
+from anchorflow_models.layers.blocks import GROUPS
 
 BACKBONES = ("mlp", "transformer")
-MULTIPLES = {"channels": 8, "width": 4}
-"""Groups of the scene encoder's normalisation, and heads of the transformer."""
 HALTINGS = (1.5, 3.0, 5.0)
 """m/s² by which the halts brake: ways to no goal, which are driven without a change."""
 TURNS = ((0.1, 5.0), (0.2, 5.0), (0.2, 2.5))
@@ -18,7 +17,19 @@ PACES = (2.5, 5.0, 7.5, 10.0, 12.5, 15.0)
 """Final speeds in m/s of ways along a route; further ways halt on it by HALTINGS."""
 ASIDE = (0.0, 1.0, -1.0)
 """m to the left of the route that ways along it keep; first the route itself."""
-LEAST = {"goals": 8, "picked": 1, "feature_channels": 1, "width": 16, "layers": 1, "channels": 8}
+LEAST = {
+    "goals": 8,
+    "picked": 1,
+    "num_steps": 2,
+    "feature_channels": 1,
+    "width": 16,
+    "layers": 1,
+    "channels": 8,
+    "heads": 1,
+    "context": 1,
+    "scorer_width": 1,
+    "outcome_width": 1,
+}
 
 
 @dataclass(frozen=True)
@@ -75,7 +86,9 @@ class GoalFlowConfig:
     outcomes: whether learnt outcomes count in the score of trajectories, beside the rules of
         `trajectory_score`
     backbone: "mlp" or "transformer", the network that is the vector field
-    width, layers: of the backbone; channels: of the scene encoder's first level
+    width, layers: of the backbone; heads: of the transformer
+    channels: of the scene encoder's first level; context: numbers of a scene as a whole
+    scorer_width, outcome_width: of the networks that score goals, and trajectories
     feature_channels: that poses look up at their places
 
     Raises:
@@ -92,21 +105,29 @@ class GoalFlowConfig:
     backbone: str = "mlp"
     width: int = 192
     layers: int = 2
+    heads: int = 4
     channels: int = 24
+    context: int = 96
+    scorer_width: int = 96
+    outcome_width: int = 192
     feature_channels: int = 24
     bev: BevLayout = field(default_factory=BevLayout)
-    score: ScoreWeights = field(default_factory=ScoreWeights)
+    score: ScoreWeights = field(default_factory=ScoreWeights, metadata={"free": True})
 
     def __post_init__(self) -> None:
         known = f"one of {', '.join(BACKBONES)}"
         check("backbone", self.backbone in BACKBONES, known, repr(self.backbone))
         own = vars(self)
+        even = self.width % 2 == 0 and self.width % max(self.heads, 1) == 0
         sides = {f"bev.{name}": getattr(self.bev, name) for name in ("rows", "columns")}
         for name, got, fits, what in (
             *((n, own[n], own[n] >= least, f"at least {least}") for n, least in LEAST.items()),
-            *((n, own[n], own[n] % f == 0, f"a multiple of {f}") for n, f in MULTIPLES.items()),
+            ("channels", self.channels, self.channels % GROUPS == 0, f"a multiple of {GROUPS}"),
+            ("width", self.width, even, f"an even multiple of heads, {self.heads}"),
             ("picked", self.picked, self.picked < self.goals, f"below goals, {self.goals}"),
             *((n, own[n], own[n] > 0, "above 0") for n in ("dt", "sigma")),
+            *((f"score.{n}", w, w >= 0, "at least 0") for n, w in vars(self.score).items()),
+            ("score.reach", self.score.reach, self.score.reach > 0, "above 0"),
             *((n, side, side % 16 == 0, "a multiple of 16") for n, side in sides.items()),
         ):
             check(name, fits, what, got)

@@ -11,13 +11,13 @@ or SETTLED), and the acceleration and curvature of the way that it began on.
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import astuple, fields
 
 import torch
 from torch import Tensor, nn
 
 from anchorflow_client.sensors import ROUTE_POINTS
-from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig
+from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig, ScoreWeights
 from anchorflow_models.goalflow.networks import (
     FIELDS,
     VELOCITY,
@@ -58,9 +58,6 @@ Context = dict[str, Tensor]
 
 POSE = 3
 STATE = 6  # x, y, heading; has a goal, acceleration, curvature of the way it began on
-CONTEXT = 96  # numbers of a scene as a whole
-SCORER = 96  # width
-OUTCOMES = 192  # width
 UNITS = (10.0, 3.0, 1.0)  # m/s, m/s², rad/s, in which a motion is heard of
 TIME_LEFT = 0.02  # least, that a slope is divided by
 FULL = 255.0
@@ -68,6 +65,7 @@ BEND = 10.0  # m, scales curvatures for the networks
 STRAYS = (0.4, 4.0)  # m, before training, at the first pose and at the last
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
 LEANING = 2.5  # m/s² to the side, at most, of turns
+LEAST_WEIGHT = 1e-6  # of a request's
 CERTAIN = 20.0  # a logit, of what is known
 GAINS = (3.0, 0.1)  # m/s², 1/m: how far controls may be from those of the way
 SURROUNDINGS = tuple(each.name for each in fields(Surroundings))
@@ -92,16 +90,23 @@ class GoalFlow(nn.Module):
     def __init__(self, config: GoalFlowConfig) -> None:
         super().__init__()
         self.config = config
-        features, steps = config.feature_channels, config.num_steps
+        features, steps, context = config.feature_channels, config.num_steps, config.context
         self.scene = SceneEncoder(
-            inputs=config.bev.channels, channels=config.channels, features=features, context=CONTEXT
+            inputs=config.bev.channels,
+            channels=config.channels,
+            features=features,
+            context=context,
         )
-        self.scorer = WayScorer(steps=steps, features=features, context=CONTEXT, width=SCORER)
+        self.scorer = WayScorer(
+            steps=steps, features=features, context=context, width=config.scorer_width
+        )
         # A pose's numbers, those of the way, the features there; has a goal, controls of the way.
         token = POSE + 4 + features + 3
-        self.flow = FIELDS[config.backbone](config, token=token, context=CONTEXT)
+        self.flow = FIELDS[config.backbone](config, token=token)
         self.outcomes = (
-            OutcomeScorer(steps=steps, features=features, context=CONTEXT, width=OUTCOMES)
+            OutcomeScorer(
+                steps=steps, features=features, context=context, width=config.outcome_width
+            )
             if config.outcomes
             else None
         )
@@ -111,15 +116,23 @@ class GoalFlow(nn.Module):
         self.register_buffer("stray", stray)
 
     def encode(
-        self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor | None = None
+        self,
+        bev: Tensor,
+        ego_status: Tensor,
+        vehicle_size: Tensor,
+        route: Tensor | None = None,
+        goal: Tensor | None = None,
+        score_weights: Tensor | None = None,
     ) -> Context:
         """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m);
-        route: [B, P, 2] m, as `anchorflow_client.sensors.route_ahead`; zeros, or None: not told.
+        route: [B, P, 2] m, as `anchorflow_client.sensors.route_ahead`; zeros, or None: not told;
+        goal: [B, G, 2] m, to which alone trajectories are drawn, in turn; zeros, or None: not told;
+        score_weights: [B, 8] in the order of `ScoreWeights`; zeros, or None: the configuration's.
 
         Returns by name: goals [B, K, 2] and goal_scores [B, K], those that are picked first, then
-        by score; prior_mean [B, ways, T, S], after the goals' the shadow, the turns and the halts,
-        and by turns with them those along the route; prior_basis [B, 3T, T·S]; and the inputs of
-        the other graphs.
+        by score; trajectory_goals [B, ways, 2], where each way leads; prior_mean [B, ways, T, S],
+        after the goals' the shadow, the turns and the halts, and by turns with them those along the
+        route; prior_basis [B, 3T, T·S]; and the inputs of the other graphs.
         """
         context = self.look(bev, ego_status, vehicle_size, route)
         speed, bend = context["speed"], context["curvature"]
@@ -132,8 +145,13 @@ class GoalFlow(nn.Module):
         taken = ways.gather(1, picked.expand(-1, -1, *ways.shape[2:]))
         shadow = self.shadow(ego_status, speed)
         ways = torch.cat([taken, shadow, self.turns(speed), self.halts(shadow, speed)], 1)
+        ways = self.with_route(ways, context["course"], speed, bend)
+        ways, aims = self.with_goals(ways, goal, speed)
+        if score_weights is not None:
+            context["weights"] = self.weights_or(score_weights)
         return context | {
-            "prior_mean": self.with_route(ways, context["course"], speed, bend),
+            "prior_mean": ways,
+            "trajectory_goals": aims,
             "prior_basis": self.basis().expand(scores.shape[0], -1, -1),
             "goals": self.vocabulary[order],
             "goal_scores": scores.gather(1, order),
@@ -227,6 +245,24 @@ class GoalFlow(nn.Module):
         told = told[:, torch.arange(untold.shape[1]) % told.shape[1]]
         return torch.where(is_told(route)[:, None, None, None], told, untold)
 
+    def with_goals(self, ways: Tensor, goal: Tensor | None, speed: Tensor) -> tuple[Tensor, Tensor]:
+        """Return ways [B, V, T, S] and where they lead [B, V, 2]: those to goals [B, G, 2] in turn
+        if there are any, the given ones if not.
+        """
+        ends = ways[..., -1, :2]
+        if goal is None:
+            return ways, ends
+        count = ways.shape[1]
+        dealt = goal.repeat(1, count, 1)[:, :count]
+        told = (goal.abs().amax((1, 2)) > 0)[:, None, None]
+        own = self.ways_to(dealt, speed)
+        return torch.where(told[..., None], own, ways), torch.where(told, dealt, ends)
+
+    def weights_or(self, score_weights: Tensor) -> Tensor:
+        """Return score weights [B, 8], the configuration's for scenes in which they are zeros."""
+        own = torch.tensor(astuple(self.config.score), device=score_weights.device)
+        return torch.where(score_weights.amax(-1, keepdim=True) > 0, score_weights, own)
+
     def along(self, route: Tensor, speed: Tensor, curvature: Tensor) -> Tensor:
         """Ways [B, W, T, S] along routes [B, P, 2]; no flow moves them either."""
         steps, dt = self.config.num_steps, self.config.dt
@@ -309,7 +345,7 @@ class GoalFlow(nn.Module):
         missed = missed * prior_mean[..., 0, POSE].clamp(min=0)
         route, ways = context["course"], self.rate(poses, context)
         ways = ways._replace(route=torch.where(is_told(route)[:, None], CERTAIN, ways.route))
-        scores = trajectory_scores(judged.rules, missed, ways, self.config)
+        scores = trajectory_scores(judged.rules, missed, ways, self.weights(context))
         if self.outcomes is not None:
             logits = self.outcomes(self.told(judged, context), context["context"])
             scores = outcome_scores(logits, judged.rules, scores)
@@ -317,7 +353,13 @@ class GoalFlow(nn.Module):
 
     def judged(self, poses: Tensor, context: Context) -> Judged:
         """Judge trajectories [B, N, T, 3] by the rules."""
-        return judge(poses, _surroundings(context), self.config)
+        return judge(poses, _surroundings(context), self.config, self.weights(context))
+
+    def weights(self, context: Context) -> ScoreWeights:
+        """Return the weights of scores: those of a request, [B, 1] each, or the configuration's."""
+        if "weights" not in context:
+            return self.config.score
+        return ScoreWeights(*context["weights"][..., None].clamp(min=LEAST_WEIGHT).unbind(1))
 
     def told(self, judged: Judged, context: Context) -> Tensor:
         """Return the features [B, N, F] that outcomes are learnt from."""

@@ -26,7 +26,6 @@ X_UNIT, Y_UNIT = 40.0, 20.0
 """m, scales of places for the networks."""
 TAKEN = -1e9
 CONTROLS = 2  # acceleration, curvature
-HEADS = 4
 
 
 def at_places(cells: Tensor, places: Tensor, extent: Extent) -> Tensor:
@@ -140,14 +139,14 @@ def pick(goals: Tensor, scores: Tensor, *, count: int, spacing: float) -> Tensor
     goals: [K, 2] m; scores: [B, K] from 0 to 1. If too few are left, those near
     to the fewest picked goals follow.
     """
-    near = (goals[:, None] - goals).square().sum(-1) < spacing**2
     number = torch.arange(goals.shape[0], device=goals.device)
     left, picked = scores, []
     for _ in range(count):
         best = left.argmax(-1)
         picked.append(best)
+        near = (goals[best][:, None] - goals).square().sum(-1) < spacing**2
         # Below all that are near to fewer.
-        left = torch.where(near[best], left - 2.0, left)
+        left = torch.where(near, left - 2.0, left)
         left = torch.where(number == best[:, None], TAKEN, left)
     return torch.stack(picked, -1)
 
@@ -155,11 +154,11 @@ def pick(goals: Tensor, scores: Tensor, *, count: int, spacing: float) -> Tensor
 class MlpField(nn.Module):
     """A residual MLP over the whole trajectory."""
 
-    def __init__(self, config: GoalFlowConfig, *, token: int, context: int) -> None:
+    def __init__(self, config: GoalFlowConfig, *, token: int) -> None:
         super().__init__()
         width, self.steps = config.width, config.num_steps
         self.time = GaussianFourierTime(width)
-        self.of_scene = nn.Linear(context, width)
+        self.of_scene = nn.Linear(config.context, width)
         self.first = nn.Linear(config.num_steps * token, width)
         self.hidden = nn.ModuleList(
             nn.Sequential(nn.SiLU(), nn.Linear(width, width)) for _ in range(config.layers)
@@ -183,18 +182,18 @@ class TransformerField(nn.Module):
 
     positions: Tensor
 
-    def __init__(self, config: GoalFlowConfig, *, token: int, context: int) -> None:
+    def __init__(self, config: GoalFlowConfig, *, token: int) -> None:
         super().__init__()
         width = config.width
         self.time = GaussianFourierTime(width)
-        self.of_scene = nn.Linear(context, width)
+        self.of_scene = nn.Linear(config.context, width)
         neutral = neutral_modulation(width, blocks=config.layers)
         to_modulation = zero_linear(width, len(neutral))
         to_modulation.bias.data.copy_(neutral)
         self.to_modulation = nn.Sequential(nn.SiLU(), to_modulation)
         self.first = nn.Linear(token, width)
         self.register_buffer("positions", sinusoidal_positions(config.num_steps, width))
-        self.blocks = nn.ModuleList(AdaLNBlock(width, HEADS) for _ in range(config.layers))
+        self.blocks = nn.ModuleList(AdaLNBlock(width, config.heads) for _ in range(config.layers))
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
         self.out = zero_linear(width, CONTROLS)
 

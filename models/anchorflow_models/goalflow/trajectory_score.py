@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from anchorflow_models.goalflow.config import GoalFlowConfig
+from anchorflow_models.goalflow.config import GoalFlowConfig, ScoreWeights
 from anchorflow_models.goalflow.networks import WayScores, at_places, at_times
 from anchorflow_models.lqr_rollout import WHEELBASE, Driven, Start, driven, halved
 
@@ -122,7 +122,9 @@ def motion_of(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Mo
     )
 
 
-def judge(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Judged:
+def judge(
+    poses: Tensor, around: Surroundings, config: GoalFlowConfig, weights: ScoreWeights
+) -> Judged:
     """Judge trajectories [B, N, T, 3] on the motion that follows them."""
     motion = motion_of(poses, around, config)
     own = driven(poses, around.start, dt=config.dt)
@@ -131,7 +133,7 @@ def judge(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Judged
         clear=_clear(*own, around, config),
         ahead=_time_to_collision(*own, around, config),
         comfort=_comfort(motion, dt=config.dt),
-        progress=_progress(poses, around.speed, config),
+        progress=_progress(poses, around.speed, config, clear_speed=weights.clear_speed),
     )
     return Judged(motion, own, rules)
 
@@ -157,14 +159,14 @@ def met(own: Driven, around: Surroundings, config: GoalFlowConfig) -> Tensor:
 
 
 def trajectory_scores(
-    rules: Rules, missed: Tensor, ways: WayScores, config: GoalFlowConfig
+    rules: Rules, missed: Tensor, ways: WayScores, weights: ScoreWeights
 ) -> Tensor:
     """Scores [B, N] of trajectories.
 
     missed: [B, N] m between a trajectory's end and its goal; 0 where it has none
     ways: logits of the trajectories
+    weights: numbers, or tensors [B, 1]
     """
-    weights = config.score
     parts = {
         "route": ways.route.sigmoid() ** weights.route,
         "goal": ways.distance.sigmoid() ** weights.goal,
@@ -267,14 +269,15 @@ def _comfort(motion: Motion, *, dt: float) -> Tensor:
     return kept
 
 
-def _progress(poses: Tensor, speed: Tensor, config: GoalFlowConfig) -> Tensor:
-    """[B, N]: of the way that a clear road allows."""
-    way = _steps(poses).sum(-1)
-    fast = torch.full_like(speed, config.score.clear_speed)
+def _progress(
+    poses: Tensor, speed: Tensor, config: GoalFlowConfig, *, clear_speed: float
+) -> Tensor:
+    """[B, N]: of the way that a road allows on which `clear_speed` is driven."""
+    way, speed = _steps(poses).sum(-1), speed[:, None]
     duration = poses.shape[-2] * config.dt
-    pulling = ((fast - speed) / PULL).clamp(0.0, duration)
+    pulling = ((clear_speed - speed) / PULL).clamp(0.0, duration)
     allowed = speed * duration + PULL * pulling * (duration - 0.5 * pulling)
-    return (way / allowed.clamp(min=5.0)[:, None]).clamp(max=1.0)
+    return (way / allowed.clamp(min=5.0)).clamp(max=1.0)
 
 
 def _hits(

@@ -171,13 +171,21 @@ class SquaredReLU(nn.Module):
         return positive * positive
 
 
-class SquaredFeedForward(nn.Sequential):
+ACTIVATIONS = {
+    "squared_relu": SquaredReLU,
+    "relu": nn.ReLU,
+    "gelu": nn.GELU,
+    "silu": nn.SiLU,
+}
+
+
+class AdaLNFeedForward(nn.Sequential):
     """Two layers, `ratio` times wider inside."""
 
-    def __init__(self, width: int, ratio: int = 4) -> None:
+    def __init__(self, width: int, activation: str, ratio: int = 4) -> None:
         super().__init__(
             nn.Linear(width, ratio * width, bias=False),
-            SquaredReLU(),
+            ACTIVATIONS[activation](),
             nn.Linear(ratio * width, width, bias=False),
         )
 
@@ -190,11 +198,18 @@ class AdaLNBlock(nn.Module):
     With `map_attention` the tokens ask the map between the two.
     """
 
-    def __init__(self, width: int, heads: int, *, map_attention: bool = False) -> None:
+    def __init__(
+        self,
+        width: int,
+        heads: int,
+        *,
+        map_attention: bool = False,
+        activation: str = "squared_relu",
+    ) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(width, elementwise_affine=False)
         self.attention = SelfAttention(width, heads)
-        self.feed_forward = SquaredFeedForward(width)
+        self.feed_forward = AdaLNFeedForward(width, activation)
         self.map_attention = MapAttention(width, heads) if map_attention else None
 
     def forward(self, x: Tensor, modulation: Tensor, keys_values: Tensor | None = None) -> Tensor:

@@ -52,7 +52,10 @@ def whole(
     told |= model.denoise(begin + 0.03 * noise, torch.tensor([8.0]), told["values"], *scene)
     diversity = diversity.expand(len(begin), -1, -1, -1)
     of_scorers = {name: told[name] for name in ("ego_motion", "foretold") if name in told}
-    told |= model.coarse(told["trajectories"], diversity, told["bev"], *scene, **of_scorers)
+    classes = told["class_scores"]
+    told |= model.coarse(
+        told["trajectories"], diversity, told["bev"], *scene, **of_scorers, class_scores=classes
+    )
     best = told["coarse_scores"].argsort(-1, descending=True)[:, : config.keep]
     told["kept"] = torch.take_along_dim(told["candidates"], best[..., None, None], 1)
     features = torch.take_along_dim(told["features"], best[..., None], 1)
@@ -100,6 +103,15 @@ def test_every_size_may_be_another() -> None:
     assert told["candidates"] == (2, 7 * 2 * 3 + 4, 8, 3)
     assert (told["scores"], told["bev_semantics"]) == ((2, 5), (2, 3, 128, 256))
     assert told["bev"] == (2, SMALL.width, 64, 64)
+
+
+@torch.inference_mode()
+def test_a_candidate_has_the_class_score_of_the_trajectory_that_it_varies() -> None:
+    config = replace(SMALL, anchors=7, groups=2, variants=3, keep=5, vocabulary=4)
+    told = whole(planner(config), sensors())
+    own, fixed = told["poses_cls"][0].split([7 * 2 * 3, 4])
+    torch.testing.assert_close(own.unflatten(0, (-1, 3)).T, told["class_scores"].expand(3, -1))
+    assert (fixed == told["class_scores"].min()).all()
 
 
 @torch.inference_mode()

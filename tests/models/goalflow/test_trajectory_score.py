@@ -74,9 +74,9 @@ def score(
     weights = replace(ScoreWeights(), progress=0.0, time_to_collision=0.0, comfort=0.0)
     certain = torch.full((1, 1), CERTAIN)
     config = GoalFlowConfig(score=replace(weights, **{part: 1.0}))
-    rules = judge(poses, around(speed, **changes), config).rules
+    rules = judge(poses, around(speed, **changes), config, config.score).rules
     ways = WayScores(certain, certain, certain)
-    worth = trajectory_scores(rules, torch.tensor([[missed]]), ways, config)
+    worth = trajectory_scores(rules, torch.tensor([[missed]]), ways, config.score)
     return float(worth) / SURE**2  # on the road, and no box touched
 
 
@@ -136,7 +136,7 @@ def test_who_is_steering_to_the_right_goes_on_doing_so(curvature: float, stays: 
     drivable = torch.ones(1, 192, 128, 1)
     drivable[:, :, 70:] = 0.0
     start = around(5.0, drivable=drivable, curvature=torch.tensor([curvature]))
-    on_road = float(judge(driven(5.0), start, GoalFlowConfig()).rules.on_road)
+    on_road = float(judge(driven(5.0), start, CONFIG, CONFIG.score).rules.on_road)
     assert on_road > 0.9 if stays else on_road < 0.1
 
 
@@ -205,7 +205,7 @@ def test_sub_scores_count_as_in_the_pdm_score(
 
 def looks(poses: Tensor, scene: Surroundings) -> Tensor:
     """[LOOKS, T]"""
-    told = met(judge(poses, scene, CONFIG).driven, scene, CONFIG)
+    told = met(judge(poses, scene, CONFIG, CONFIG.score).driven, scene, CONFIG)
     return told.unflatten(-1, (LOOKS, T))[0, 0]
 
 
@@ -237,7 +237,7 @@ def test_the_scorer_hears_of_everything() -> None:
     torch.manual_seed(0)
     model = GoalFlow(CONFIG).eval()
     poses, scene = driven(8.0), around(8.0)
-    judged = judge(poses, scene, CONFIG)
+    judged = judge(poses, scene, CONFIG, CONFIG.score)
     features = torch.rand(1, 48, 32, CONFIG.feature_channels)
     context = {**vars(scene), "features": features, "context": torch.zeros(1, 96)}
     told = model.told(judged, context)

@@ -25,9 +25,12 @@ from training_runs import (
 
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.planners import adapter_of
+from anchorflow_export.tracing import ExportError
 from anchorflow_models.layers.geometry import standing_still
 from anchorflow_training.batches import MirroredBatchConfig
-from anchorflow_training.checkpoint import load_checkpoint, restore_model
+from anchorflow_training.checkpoint import load_checkpoint, restore_model, save_checkpoint
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.diffusiondrive_objective import (
@@ -285,8 +288,6 @@ def test_the_winner_is_the_nearest_anchor() -> None:
 
 
 def test_training_denoises_as_the_service_does() -> None:
-    from anchorflow_export.adapter import ExportChoices
-    from anchorflow_export.planners import adapter_of
     from anchorflow_models.torch_graphs import TorchGraphs
     from anchorflow_service.engine.samplers.truncated_diffusion import (
         Noise,
@@ -310,7 +311,9 @@ def test_training_denoises_as_the_service_does() -> None:
         wanted = denoised(model, scene, start[None]).trajectories[0]
         context = {name: each.numpy() for name, each in model.encode(**own).items()}
     served = sampler.denoised(context, noise, steps=TINY.steps, check=lambda: None)
-    torch.testing.assert_close(torch.from_numpy(served), wanted, atol=1e-4, rtol=0.0)
+    torch.testing.assert_close(
+        torch.from_numpy(served["trajectories"][0]), wanted, atol=1e-4, rtol=0.0
+    )
 
 
 def test_candidates_begin_with_the_noise_of_the_models_start() -> None:
@@ -406,6 +409,32 @@ def test_a_run_begins_with_the_weights_of_the_one_before(logs: list[Path], tmp_p
     said = rf"before: .*first/checkpoint.pt: expected model.hidden {MODEL.hidden * 2}, got"
     with pytest.raises(ConfigError, match=said):
         DiffusionDriveRun(wide, logs, tmp_path / "wide")
+
+
+def test_a_vocabulary_is_clustered_or_read_and_refused_while_it_is_empty(
+    logs: list[Path], tmp_path: Path
+) -> None:
+    run = DiffusionDriveRun(replace(CONFIG, steps=1), logs, tmp_path / "clustered")
+    run.fit()
+    ends = run.model.vocabulary[:, -1, :2]
+    assert ends.norm(dim=-1).min() > 1.0  # the cars of the bend drive
+    own = np.random.default_rng(0).normal(size=(TINY.vocabulary, T, 3)).astype(np.float32)
+    np.save(tmp_path / "own.npy", own)
+    read = replace(CONFIG, vocabulary=str(tmp_path / "own.npy"))
+    found = DiffusionDriveRun(read, logs, tmp_path / "read").model.vocabulary
+    np.testing.assert_array_equal(found.numpy(), own)
+
+    before = tmp_path / "clustered" / "checkpoint.pt"
+    saved = load_checkpoint(before)
+    saved.average["vocabulary"].zero_()
+    save_checkpoint(tmp_path / "empty.pt", saved)
+    said = "vocabulary: expected 3 trajectories, got zeros alone"
+    with pytest.raises(ConfigError, match=f"before: .*empty.pt: {said}"):
+        DiffusionDriveRun(replace(CONFIG, before=str(tmp_path / "empty.pt")), logs, tmp_path / "x")
+    with pytest.raises(ExportError, match=said):
+        adapter_of("diffusiondrive", restore_model(saved), ExportChoices())
+    with pytest.raises(ConfigError, match="vocabulary: expected none beside before"):
+        DiffusionDriveRun(replace(read, before=str(before)), logs, tmp_path / "y")
 
 
 def test_two_processes_learn_a_stage_that_does_not_ask_all_weights(

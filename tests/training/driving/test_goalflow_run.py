@@ -65,6 +65,18 @@ def test_a_run_is_judged_and_its_checkpoint_restored(
     assert run.evaluations[-1]["best_ade_m"] < 20.0
 
 
+def test_plans_may_end_earlier(windows: DrivingWindows, tmp_path: Path) -> None:
+    """Six poses over 3 s."""
+    short = replace(CONFIG, model=replace(CONFIG.model, num_steps=6))
+    run = GoalFlowRun(short, windows, tmp_path)
+    run.fit()
+    whole = GoalFlowRun(CONFIG, windows, tmp_path / "whole")
+    assert run.batch(0)["targets"].shape == (3, 4, 6, 3)
+    far, farther = (each.model.vocabulary[:, 0].max() for each in (run, whole))
+    assert far < 0.9 * farther
+    assert 0.0 <= run.evaluations[-1]["success"] <= 1.0
+
+
 def test_a_log_that_is_judged_on_is_not_trained_on(windows: DrivingWindows, tmp_path: Path) -> None:
     assert (windows.log == 1).sum() > 1  # one is held out
     run = GoalFlowRun(CONFIG, windows, tmp_path)
@@ -192,6 +204,10 @@ def test_a_reflected_window_has_its_proposals_reflected(
         (
             {"model": replace(CONFIG.model, outcomes=True, width=64)},
             r"expected model\.width 64, got 32",
+        ),
+        (
+            {"model": replace(CONFIG.model, outcomes=True, num_steps=6)},
+            r"model\.num_steps: expected 8, for the PDM score of the stage outcomes, got 6",
         ),
         (
             {"batch": SampledBatchConfig(scenes=64, samples=4)},

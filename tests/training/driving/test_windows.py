@@ -14,7 +14,7 @@ from anchorflow_driving.sensors.bev import BEV, draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
-from anchorflow_training.driving.anchors import clustered, read_points
+from anchorflow_training.driving.anchors import clustered, read_goals, read_points
 from anchorflow_training.driving.augmentation import AugmentationConfig, disturbed, poses_on
 from anchorflow_training.driving.windows import SPACING, DrivingWindows, open_windows
 from anchorflow_training.settings import ConfigError
@@ -98,6 +98,17 @@ def test_a_vocabulary_of_the_ends() -> None:
         ends + 0.01 * np.random.default_rng(0).normal(size=ends.shape), count=3, seed=0
     )
     np.testing.assert_allclose(found, [[2, 0], [10, 0], [30, 5]], atol=0.05)
+
+
+def test_a_vocabulary_of_a_grid() -> None:
+    goals = read_goals("grid:2,62,-16,16", 512)
+    assert goals.shape == (512, 2)
+    assert (goals.min(0).tolist(), goals.max(0).tolist()) == ([2, -16], [62, 16])
+    apart = np.linalg.norm(goals[:, None] - goals, axis=-1) + 99 * np.eye(512)
+    assert np.ptp(apart.min(0)) < 0.1  # as far from each other everywhere
+    for wrong in ("grid:2,62", "grid:9,2,0,1", "grid:a,b,c,d"):
+        with pytest.raises(ConfigError, match=r"vocabulary: expected grid:X0,X1,Y0,Y1"):
+            read_goals(wrong, 8)
 
 
 @pytest.mark.parametrize(("setting", "shape"), [("vocabulary", (3, 2)), ("anchors", (3, 8, 3))])

@@ -134,6 +134,33 @@ def test_scores_are_the_scorers_and_are_kept(logs: list[Path]) -> None:
     np.testing.assert_allclose(table[1, :, 2], wanted.ep, atol=1e-3)
 
 
+def test_rewards_are_read_from_a_folder_of_tables(logs: list[Path], tmp_path: Path) -> None:
+    shape, rng = (MODEL.anchors, 5), np.random.default_rng(0)
+    counts = [len(Scenes(read_log(log))) for log in logs]
+    tables = [rng.random((count, *shape), np.float32) for count in counts]
+    for log, table in zip(logs, tables, strict=True):
+        np.save(tmp_path / f"{log.stem}.npy", table)
+    plain = replace(CONFIG, rewards=str(tmp_path), batch=replace(CONFIG.batch, mirror=False))
+    run = WoteRun(plain, logs, tmp_path / "run")
+    np.testing.assert_array_equal(run.pdm, np.concatenate(tables))
+    run.fit()
+    with pytest.raises(ConfigError, match=r"rewards: .*\.mirrored\.npy: .*No such file"):
+        WoteRun(replace(plain, batch=CONFIG.batch), logs, tmp_path / "mirrored").fit()
+    np.save(tmp_path / f"{logs[0].stem}.npy", 2 * tables[0])
+    with pytest.raises(ConfigError, match="expected 0 to 1, got"):
+        _ = WoteRun(plain, logs, tmp_path / "other").pdm
+    brief = replace(plain, model=replace(MODEL, num_steps=6))
+    with pytest.raises(ConfigError, match=r"model\.num_steps: expected 8, for the PDM score with"):
+        WoteRun(brief, logs, tmp_path / "judged")
+    np.save(tmp_path / f"{logs[0].stem}.npy", tables[0])
+    run = WoteRun(replace(brief, evaluation=HeldOutConfig()), logs, tmp_path / "brief")
+    run.fit()  # six poses, which no PDM score knows
+    assert run.model.anchors.shape == (MODEL.anchors, 6, 3)
+    moved = replace(plain, objective=replace(plain.objective, moved=True))
+    with pytest.raises(ConfigError, match="rewards: expected none with"):
+        WoteRun(moved, logs, tmp_path / "moved")
+
+
 def test_half_of_the_batches_are_reflected(logs: list[Path], tmp_path: Path) -> None:
     def futures(*, mirror: bool) -> list[NDArray[np.float32]]:
         config = replace(CONFIG, batch=MirroredBatchConfig(scenes=2, mirror=mirror))

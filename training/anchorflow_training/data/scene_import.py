@@ -226,6 +226,9 @@ def rounded_up(value: float) -> float:
     return float(f"{np.ceil(value / unit - 1e-9) * unit:.6g}")
 
 
+PICTURES = ("images", "image", "scene_images", "rgb")
+
+
 def import_scenes(
     dataset: TrajectoryDataset,
     out: Path,
@@ -240,9 +243,15 @@ def import_scenes(
     that come nearer than their safety margin are left out and counted; `progress` gets 1 a sample.
 
     Raises:
-        DatasetError: the file says too little, nothing is left of it, or `out` cannot be written.
+        DatasetError: the file says too little, nothing is left of it, it has pictures, or `out`
+            cannot be written.
     """
     config = config or ImportConfig()
+    for name in set(dataset.ignored) & set(PICTURES):
+        raise DatasetError(
+            f"{dataset.path}: {name}: expected no pictures, which would be ignored: the condition "
+            "is a cost map; add what they show to cost_maps as channels, or leave them out"
+        )
     limits = limits_of(dataset, config)
     if not dataset.peak_speed.any():
         raise DatasetError(

@@ -52,7 +52,7 @@ class SyntheticTrajectoryDataset(TrajectoryDataset):
             name: HeldArray((values / horizon_s**order).astype(np.float32))
             for order, (name, values) in enumerate(zip(names, orders, strict=True))
         }
-        self._open(Path(f"synthetic-{kind}"), arrays, None, horizon_s)
+        self._open(Path(f"synthetic-{kind}"), arrays, horizon_s=horizon_s)
 
 
 def _goals(rng: np.random.Generator, count: int) -> FloatArray:

@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, default_collate
 
+from anchorflow_models.generation.scenes import as_numpy
 from anchorflow_training.data.array_layout import (
     GEOMETRY_ARRAYS,
     KNOWN_ARRAYS,
@@ -41,6 +42,7 @@ from anchorflow_training.data.statistics import (
 from anchorflow_training.dataset import DatasetError
 
 Sample = dict[str, Tensor]
+Own = TypeVar("Own", bound="TrajectoryDataset")
 
 BLOCK_BYTES = 1 << 23  # of a file that are looked at together; bounds the memory of a pass
 LEAST_WALL = 128  # of 8 bits; maps that stay below it hold 0 and 1, or percent
@@ -85,19 +87,47 @@ class TrajectoryDataset(Dataset[Sample]):
             DatasetError: naming the file, the array, the expected and the found shape.
         """
         arrays = open_arrays(Path(path), allow_pickle=allow_pickle)
-        if resolution is not None:
-            arrays["resolution"] = HeldArray(np.asarray(resolution))
-        self._open(Path(path), arrays, dt, horizon_s)
-        if statistics is not None:
-            self.statistics = statistics
+        self._open(
+            Path(path),
+            arrays,
+            dt=dt,
+            horizon_s=horizon_s,
+            resolution=resolution,
+            statistics=statistics,
+        )
+
+    @classmethod
+    def from_arrays(
+        cls: type[Own],
+        arrays: Mapping[str, ArrayLike | Tensor],
+        *,
+        name: str = "arrays",
+        **how: Any,
+    ) -> Own:
+        """Return the samples of arrays in memory, by the names that `array_layout` lists.
+
+        name: what errors and datasets call them
+        how: the keywords of `TrajectoryDataset`, such as dt, but for allow_pickle
+        """
+        held = {each: HeldArray(np.asarray(as_numpy(values))) for each, values in arrays.items()}
+        dataset = cls.__new__(cls)
+        dataset._open(Path(name), held, **how)
+        return dataset
 
     def _open(
         self,
         path: Path,
         arrays: Mapping[str, ArraySource],
-        dt: float | None,
-        horizon_s: float | None,
+        *,
+        dt: float | None = None,
+        horizon_s: float | None = None,
+        resolution: float | None = None,
+        statistics: TrajectoryStatistics | None = None,
     ) -> None:
+        if resolution is not None:
+            arrays = {**arrays, "resolution": HeldArray(np.asarray(resolution))}
+        if statistics is not None:
+            self.statistics = statistics
         arrays = by_own_names(path, arrays)
         check_layout(path, arrays)
         self.path = path

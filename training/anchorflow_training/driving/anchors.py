@@ -98,6 +98,29 @@ def read_points(path: Path, shape: tuple[int, ...], *, setting: str) -> Floats:
     return points.astype(np.float32)
 
 
+GRID = "grid:"
+
+
+def read_goals(told: str, count: int) -> Floats:
+    """Return goals [K, 2] m of a .npy file, or a grid: `grid:X0,X1,Y0,Y1` spreads them evenly.
+
+    Raises:
+        ConfigError: as `read_points`, or the grid has not four numbers that rise in pairs.
+    """
+    if not told.startswith(GRID):
+        return read_points(Path(told), (count, 2), setting="vocabulary")
+    try:
+        low_x, high_x, low_y, high_y = map(float, told.removeprefix(GRID).split(","))
+    except ValueError:
+        low_x = high_x = low_y = high_y = np.nan
+    if not (low_x < high_x and low_y < high_y):
+        raise ConfigError(f"vocabulary: expected {GRID}X0,X1,Y0,Y1 in m, each rising, got {told}")
+    across = max(1, round((count * (high_y - low_y) / (high_x - low_x)) ** 0.5))
+    x, y = np.linspace(low_x, high_x, -(-count // across)), np.linspace(low_y, high_y, across)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)[:count]
+    return points.astype(np.float32)
+
+
 def anchor_scores(
     logs: Sequence[Path], anchors: Floats, *, progress: Progress = lambda *_: None
 ) -> Floats:
@@ -110,6 +133,26 @@ def anchor_scores(
     make = partial(_scored, anchors=anchors)
     parts = log_arrays(logs, f".pdm-{digest(anchors)}", make, progress=progress)
     return np.concatenate([part["scores"].astype(np.float32) for part in parts])
+
+
+def read_scores(
+    folder: Path, logs: Sequence[Path], counts: Sequence[int], anchors: int, *, suffix: str = ""
+) -> Floats:
+    """Sub-scores [W, K, 5] of a folder: LOG.npy [w, K, 5] for each log, by its name and suffix.
+
+    counts: windows of each log
+
+    Raises:
+        ConfigError: a file is missing, of another shape, or not from 0 to 1.
+    """
+    parts = []
+    for log, count in zip(logs, counts, strict=True):
+        file = folder / f"{log.stem}{suffix}.npy"
+        part = read_points(file, (count, anchors, len(SUB_SCORES)), setting="rewards")
+        if part.size and not 0 <= part.min() <= part.max() <= 1:
+            raise ConfigError(f"rewards: {file}: expected 0 to 1, got {part.min()} to {part.max()}")
+        parts.append(part)
+    return np.concatenate(parts)
 
 
 def _scored(log: Path, *, anchors: Floats) -> Arrays:

@@ -22,7 +22,7 @@ from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.record import Row
-from anchorflow_training.settings import ConfigError
+from anchorflow_training.settings import ConfigError, setting
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,14 @@ class DiffusionDriveRunConfig(SensorRunConfig):
     """A run of one of the stages of `DiffusionDriveObjective`."""
 
     planner: ClassVar[str] = "diffusiondrive"
+    begins_with: ClassVar = (*SensorRunConfig.begins_with, "vocabulary")
 
     model: DiffusionDriveConfig = field(default_factory=DiffusionDriveConfig)
     objective: DiffusionDriveObjectiveConfig = field(default_factory=DiffusionDriveObjectiveConfig)
+    vocabulary: str | None = setting(
+        None,
+        "File of model.vocabulary fixed candidates [K, 8, 3] (.npy) instead of clustered ones.",
+    )
 
 
 class DiffusionDriveRun(SensorRun):
@@ -45,6 +50,10 @@ class DiffusionDriveRun(SensorRun):
         if stage in ("scorers", "reinforcement") and config.before is None:
             raise ConfigError(f"before: expected a checkpoint to begin {stage} with, got none")
         super().__init__(config, logs, out)
+        try:
+            self.model.check_vocabulary()
+        except ValueError as error:
+            raise ConfigError(f"before: {config.before}: {error}") from error
 
     @staticmethod
     def model_settings(data: Sequence[Path]) -> Mapping[str, Any]:  # noqa: ARG004
@@ -56,9 +65,11 @@ class DiffusionDriveRun(SensorRun):
         return self.config.model.direction
 
     def begin(self, model: DiffusionDriveV2) -> None:
-        """Anchors, and a backbone that has seen pictures where there is one."""
+        """Anchors, a vocabulary, and a backbone that has seen pictures where there is one."""
         anchors = self.first_anchors(count=self.config.model.anchors, steps=POSES)
         model.anchors.copy_(anchors[..., :2])
+        if count := self.config.model.vocabulary:
+            model.set_vocabulary(self.first_poses("vocabulary", count=count, steps=POSES))
         self.load_sight(model)
 
     def new_objective(self, model: DiffusionDriveV2) -> DiffusionDriveObjective:

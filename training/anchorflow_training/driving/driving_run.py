@@ -186,11 +186,15 @@ class SensorRun(DrivingRun):
 
     def first_anchors(self, *, count: int, steps: int) -> torch.Tensor:
         """Return anchors [K, T, 3] to begin with: the configured file's, or clustered ones."""
-        if self.config.anchors:
-            file, shape = Path(self.config.anchors), (count, steps, 3)
-            return torch.from_numpy(read_points(file, shape, setting="anchors"))
+        return self.first_poses("anchors", count=count, steps=steps)
+
+    def first_poses(self, setting: str, *, count: int, steps: int) -> torch.Tensor:
+        """Return trajectories [K, T, 3] of the file that a setting names, or clustered ones."""
+        if file := getattr(self.config, setting):
+            shape = (count, steps, 3)
+            return torch.from_numpy(read_points(Path(file), shape, setting=setting))
         numbers, learnt = self.windows.numbers, slice(self.count)
-        examples = numbers["future"][learnt][numbers["is_example"][learnt] > 0]
+        examples = numbers["future"][learnt][numbers["is_example"][learnt] > 0][:, :steps]
         return torch.from_numpy(
             trajectory_anchors(examples, count=count, seed=self.config.batch.seed)
         )

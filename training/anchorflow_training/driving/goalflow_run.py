@@ -23,7 +23,7 @@ from anchorflow_training.batches import (
     reflection,
 )
 from anchorflow_training.config import HeldOutConfig, RunConfig
-from anchorflow_training.driving.anchors import clustered, pdms, read_points
+from anchorflow_training.driving.anchors import clustered, pdms, read_goals
 from anchorflow_training.driving.augmentation import (
     AugmentationConfig,
     draw,
@@ -37,7 +37,7 @@ from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjectiveConfig,
     OutcomeObjective,
 )
-from anchorflow_training.driving.log_cache import PLAN_SETTINGS, open_logs
+from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon, open_logs
 from anchorflow_training.driving.proposals import proposals
 from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.record import Row
@@ -64,7 +64,9 @@ class GoalFlowRunConfig(RunConfig):
     model: GoalFlowConfig = field(default_factory=GoalFlowConfig)
     objective: GoalFlowObjectiveConfig = field(default_factory=GoalFlowObjectiveConfig)
     augmentation: AugmentationConfig = field(default_factory=AugmentationConfig)
-    vocabulary: str | None = setting(None, "File of goals [K, 2] (.npy) instead of clustered ones.")
+    vocabulary: str | None = setting(
+        None, "File of goals [K, 2] (.npy) or grid:X0,X1,Y0,Y1 (m) instead of clustered ones."
+    )
 
 
 class GoalFlowRun(DrivingRun):
@@ -73,6 +75,8 @@ class GoalFlowRun(DrivingRun):
     def __init__(self, config: GoalFlowRunConfig, windows: DrivingWindows, out: Path) -> None:
         check_fixed(config.model, self.model_settings(windows), by="the windows")
         self.learns_outcomes = config.objective.stage == "outcomes"
+        scored = "the PDM score of the stage outcomes" if self.learns_outcomes else None
+        check_horizon(config.model.num_steps, whole=scored)
         if self.learns_outcomes != config.model.outcomes:
             raise ConfigError(
                 f"model.outcomes: expected {str(self.learns_outcomes).lower()} in the stage "
@@ -111,12 +115,13 @@ class GoalFlowRun(DrivingRun):
         timed = retimed(speed, config.augmentation, count=RETIMED_SHARE, rng=rng)
         timed = np.concatenate([windows.along[learnt, None].astype(float), timed], axis=1)
         courses = windows.course[learnt].astype(float)
+        timed = timed[..., : config.model.num_steps]
         targets = np.stack([poses_on(c, s) for c, s in zip(courses, timed, strict=True)])
         ends = targets[:, :, -1, :2].reshape(-1, 2)
         ends = np.concatenate([ends, ends * [1, -1]])
         count, file = config.model.goals, config.vocabulary
         goals = (
-            read_points(Path(file), (count, 2), setting="vocabulary")
+            read_goals(file, count)
             if file
             else clustered(ends, count=count, seed=config.batch.seed)
         )
@@ -151,7 +156,7 @@ class GoalFlowRun(DrivingRun):
         drawn = draw(
             self.windows, chosen, config.augmentation, samples=config.batch.samples, rng=rng
         )
-        return vars(drawn)
+        return {**vars(drawn), "targets": drawn.targets[:, :, : config.model.num_steps]}
 
     def _proposed(self, chosen: NDArray[np.int64], rng: np.random.Generator) -> Batch:
         """Windows and what was proposed in them, some left for right."""
@@ -188,7 +193,7 @@ class GoalFlowRun(DrivingRun):
         x_1 = mean + model.field(mean, mean, modulation, context)
         scores = model.score(x_1, mean, context)[0]
         course, along = windows.course[window].astype(float), windows.along[window].astype(float)
-        driven = poses_on(course, along)
+        driven = poses_on(course, along[: model.config.num_steps])
         apart = _apart(x_1[0, ..., :2].cpu().numpy(), driven[:, :2]).mean(-1)
         goals = context["goals"][0, :TOP].cpu().numpy()
         near = bool((_apart(goals, driven[-1, :2]) < NEAR_M).any())

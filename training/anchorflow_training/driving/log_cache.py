@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_training.atomic_write import atomic_write
+from anchorflow_training.settings import ConfigError
 from anchorflow_trajectory.threads import usable_cores
 
-PLAN_SETTINGS: Mapping[str, Any] = {"num_steps": len(PLAN_TIMES), "dt": float(PLAN_TIMES[0])}
+PLAN_SETTINGS: Mapping[str, Any] = {"dt": float(PLAN_TIMES[0])}
 """The settings of a model's configuration that the times of a log's plans require."""
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -32,6 +33,17 @@ def open_logs(folder: Path) -> Sequence[Path]:
     if not logs:
         raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
     return logs
+
+
+def check_horizon(num_steps: int, *, whole: str | None) -> None:
+    """Raise `ConfigError` for more poses than logs' plans have, or fewer if all are needed.
+
+    whole: what needs all of them, if anything does
+    """
+    most = len(PLAN_TIMES)
+    if num_steps > most or (whole and num_steps < most):
+        expected = f"{most}, for {whole}" if whole else f"at most {most}, as the logs have"
+        raise ConfigError(f"model.num_steps: expected {expected}, got {num_steps}")
 
 
 def no_windows(folder: Path) -> LogError:

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.batches import Batch, reflection
-from anchorflow_training.driving.anchors import anchor_scores
+from anchorflow_training.driving.anchors import anchor_scores, read_scores
 from anchorflow_training.driving.driving_run import SensorRun, SensorRunConfig
 from anchorflow_training.driving.labels import CLASSES
-from anchorflow_training.driving.log_cache import PLAN_SETTINGS
+from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon
 from anchorflow_training.driving.losses import distances
 from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.driving.wote_objective import WoteObjective, WoteObjectiveConfig
 from anchorflow_training.record import Row
+from anchorflow_training.settings import ConfigError, setting
 
 
 @dataclass(frozen=True)
@@ -34,12 +35,28 @@ class WoteRunConfig(SensorRunConfig):
 
     model: WoteConfig = field(default_factory=WoteConfig)
     objective: WoteObjectiveConfig = field(default_factory=WoteObjectiveConfig)
+    rewards: str | None = setting(
+        None,
+        "Folder of sub-scores of the anchors, LOG.npy [w, K, 5], and LOG.mirrored.npy with "
+        "batch.mirror, instead of the PDM scorer's.",
+    )
 
 
 class WoteRun(SensorRun):
     """Learns to move anchors, and to foretell what each is worth."""
 
     config: WoteRunConfig
+
+    def __init__(self, config: WoteRunConfig, logs: Sequence[Path], out: Path) -> None:
+        if config.rewards and config.objective.moved:
+            raise ConfigError(
+                "rewards: expected none with objective.moved, whose anchors no table holds, "
+                f"got {config.rewards}"
+            )
+        needs_all = config.rewards is None or config.evaluation.held_out > 0
+        scored = "the PDM score without rewards, or of what is held out"
+        check_horizon(config.model.num_steps, whole=scored if needs_all else None)
+        super().__init__(config, logs, out)
 
     @staticmethod
     def model_settings(data: Sequence[Path]) -> Mapping[str, Any]:  # noqa: ARG004
@@ -49,12 +66,21 @@ class WoteRun(SensorRun):
     @cached_property
     def pdm(self) -> NDArray[np.float32]:
         """[W, K, 5] sub-scores of the model's anchors."""
-        return anchor_scores(self.logs, self.model.anchors.cpu().numpy())
+        return self._scores(1.0, "")
 
     @cached_property
     def mirrored_pdm(self) -> NDArray[np.float32]:
         """[W, K, 5] of the anchors in reflected windows: of their reflections in these."""
-        return anchor_scores(self.logs, self.model.anchors.cpu().numpy() * reflection(3))
+        return self._scores(reflection(3), ".mirrored")
+
+    def _scores(self, signs: float | NDArray[np.float32], suffix: str) -> NDArray[np.float32]:
+        """Return the sub-scores of the anchors times signs: of the given tables, or worked out."""
+        anchors = self.model.anchors.cpu().numpy()
+        if self.config.rewards is None:
+            return anchor_scores(self.logs, (anchors * signs).astype(np.float32))
+        counts = np.bincount(self.windows.log, minlength=len(self.logs)).tolist()
+        folder = Path(self.config.rewards)
+        return read_scores(folder, self.logs, counts, len(anchors), suffix=suffix)
 
     def begin(self, model: WoTE) -> None:
         """Anchors, and a backbone that has seen pictures where there is one."""
@@ -72,7 +98,8 @@ class WoteRun(SensorRun):
         return super().stream(indices)
 
     def window_batch(self, windows: NDArray[np.integer], *, mirrored: bool = False) -> Batch:
-        batch = super().window_batch(windows, mirrored=mirrored)
+        batch, steps = super().window_batch(windows, mirrored=mirrored), self.config.model.num_steps
+        batch |= {name: batch[name][:, :steps] for name in ("future", "occupancy")}
         if self.config.objective.moved:
             return batch
         pdm = self.mirrored_pdm if mirrored else self.pdm

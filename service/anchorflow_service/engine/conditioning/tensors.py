@@ -17,14 +17,15 @@ PROBE_AXIS = 32
 
 
 class TensorConditioning:
-    """Reads scenes of named tensors; a missing optional one is replaced by zeros."""
+    """Reads scenes of named tensors; a missing optional one is replaced by zeros, one long on open
+    axes."""
 
     def __init__(self, manifest: Manifest) -> None:
         self._manifest = manifest
 
     def faults(self) -> Iterator[str]:
         """Find inputs of encode that no request brings or brings in another type, and optional ones
-        without a fixed size."""
+        of open size where the graph has a fixed one."""
         given = {spec.name: spec for spec in self._manifest.request.inputs}
         encode = self._manifest.graphs["encode"]
         yield from unknown_names("graphs.encode.inputs", encode.input_names, given)
@@ -32,15 +33,15 @@ class TensorConditioning:
             if spec.name in given and spec.dtype != given[spec.name].dtype:
                 own = f"{spec.name} is {spec.dtype}"
                 yield f"graphs.encode.inputs: {own}, in request.inputs {given[spec.name].dtype}"
-        for spec in given.values():
-            if spec.optional and not all(isinstance(size, int) for size in spec.shape[1:]):
-                told = f"expected a fixed size, got {list(spec.shape)}"
+            asked = given.get(spec.name)
+            if asked and asked.optional and _is_open(asked) and not _is_open(spec):
+                told = f"expected a fixed size, got {list(asked.shape)}"
                 yield f"request.inputs: {spec.name} is optional, {told}"
 
     def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
         """Return the scenes of a request."""
         absent = {
-            spec.name: np.asarray(probe_of(spec))[None]
+            spec.name: np.asarray(probe_of(spec, open_axis=1))[None]
             for spec in self._manifest.request.inputs
             if spec.optional and spec.name not in request.inputs
         }
@@ -75,10 +76,14 @@ class TensorScene:
         return arrays
 
 
-def probe_of(spec: TensorSpec) -> Array | str:
+def _is_open(spec: TensorSpec) -> bool:
+    return any(isinstance(size, str) for size in spec.shape[1:])
+
+
+def probe_of(spec: TensorSpec, *, open_axis: int = PROBE_AXIS) -> Array | str:
     """Return zeros for an input without its B axis, or the nearest values that the card allows."""
     if spec.dtype == TEXT:
         return "probe"
     low, high = spec.range or (None, None)
-    shape = [size if isinstance(size, int) else PROBE_AXIS for size in spec.shape[1:]]
+    shape = [size if isinstance(size, int) else open_axis for size in spec.shape[1:]]
     return np.full(shape, np.clip(0, low, high), dtype=spec.dtype)

@@ -32,6 +32,7 @@ from anchorflow_service.engine.interfaces import (
     Graphs,
     Samples,
     missing_roles,
+    names_of_each,
     unknown_names,
 )
 from anchorflow_service.engine.samplers.device_loop import DeviceLoop
@@ -93,6 +94,7 @@ class OdeSampler:
         self._on_device = DeviceLoop(graphs.device) if graphs.device else None
         self._is_scored = SCORE in manifest.graphs
         self._extras = [spec.name for spec in manifest.answer.extras]
+        self._of_each = names_of_each(manifest.answer.extras)
         self._state_shape = state_shape(manifest)
         self._threads = threads
         self._pool = ThreadPool(threads, name="anchorflow-field")
@@ -193,6 +195,8 @@ class OdeSampler:
             context, begun, spec, guidance=guidance, threads=threads, check=check
         )
         arrays = {name: context[name][0] for name in self._extras}
+        # One entry for each component of the prior, which the anchors are dealt out over.
+        arrays |= {name: arrays[name][begun.route] for name in self._of_each}
         if self._is_scored:
             inputs = _score_inputs(context, states, begun.mean)
             arrays[SCORES] = self._graphs.run(SCORE, inputs, threads=threads)[SCORES][0]

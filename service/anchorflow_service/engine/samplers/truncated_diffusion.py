@@ -2,7 +2,8 @@
 
     encode    the request's inputs               -> anchors [A,T,2], context, extras
     denoise   x_t [N,T,2], t, the context        -> x_0 [N,T,2], trajectories [N,T,D]
-    coarse    trajectories, diversity, context   -> candidates [M,T,D], coarse_scores [M], features
+    coarse    what denoise gives, diversity, context
+                                                 -> candidates [M,T,D], coarse_scores [M], features
     fine      the best of the candidates         -> scores [K], sub_scores [K,5], extras
 
 x_t, x_0 and the anchors of encode are in the diffusion's own units, everything else in SI's. The
@@ -91,7 +92,8 @@ class TruncatedDiffusionSampler:
         for role, fed in FED.items():
             where, takes = f"graphs.{role}.inputs", graphs[role].input_names
             yield from unknown_names(where, fed, takes)
-            before = graphs["coarse"].output_names if role == "fine" else ()
+            earlier = {"coarse": "denoise", "fine": "coarse"}.get(role)
+            before = graphs[earlier].output_names if earlier else ()
             yield from unknown_names(where, takes, (*fed, *before, *given))
         told = (*given, *graphs["coarse"].output_names, *graphs["fine"].output_names)
         extras = [spec.name for spec in manifest.answer.extras]
@@ -138,8 +140,8 @@ class TruncatedDiffusionSampler:
 
     def denoised(
         self, context: Context, noise: Noise, *, steps: int, threads: int = 1, check: Check
-    ) -> Array:
-        """Return trajectories [A G, T, D] after these steps; `check` is called after each."""
+    ) -> Arrays:
+        """Return the outputs of the last of these steps; `check` is called after each."""
         levels = self._entry.levels_of(steps)
         signals = [*(float(self._signal[level]) for level in levels), CLEAN]
         x, outputs = self.beginning(context, noise), {}
@@ -148,7 +150,7 @@ class TruncatedDiffusionSampler:
             outputs = self._graphs.run("denoise", inputs, threads=threads)
             x = ddim_step(x, outputs["x_0"][0], signal, following=following).astype(np.float32)
             check()
-        return outputs[TRAJECTORIES][0]
+        return outputs
 
     def sample(
         self, scene: ConditionedScene, context: Context, *, threads: int, check: Check
@@ -158,7 +160,7 @@ class TruncatedDiffusionSampler:
         assert isinstance(spec, TruncatedDiffusionSpec)
         noise = self.draw_noise(seed=request.seed)
         found = self.denoised(context, noise, steps=spec.steps, threads=threads, check=check)
-        inputs = {**context, TRAJECTORIES: found[None], "diversity": noise.diversity[None]}
+        inputs = {**context, **found, "diversity": noise.diversity[None]}
         coarse = self._graphs.run("coarse", inputs, threads=threads)
         check()
         kept = self._picked(coarse, best(coarse[COARSE_SCORES][0], self._entry.keep))

@@ -1,0 +1,37 @@
+"""The configuration files name their planner, are read as its run's, and build its network."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from small_configs import BACKBONE, DIFFUSIONDRIVE, EXAMPLES
+
+from anchorflow_models.registry import PLANNERS
+from anchorflow_training.planners import TRAININGS
+from anchorflow_training.settings import layers, planner_in
+
+DOCS = EXAMPLES.parent / "docs"
+
+
+@pytest.mark.parametrize("planner", ["wote", "diffusiondrive"])
+def test_a_configuration_file_names_its_planner(planner: str) -> None:
+    assert planner_in(EXAMPLES / f"{planner}-small.yaml") == planner
+
+
+@pytest.mark.parametrize(
+    ("planner", "millions"), [("goalflow", 160.9), ("wote", 65.1), ("diffusiondrive", 91.1)]
+)
+def test_a_published_configuration_builds_a_network_of_its_size(
+    planner: str, millions: float
+) -> None:
+    file = EXAMPLES / f"{planner}-published.yaml"
+    config = layers(TRAININGS[planner].config, {}, file)
+    with torch.device("meta"):  # shapes alone
+        model = PLANNERS[planner].create(config.model)
+    count = sum(each.numel() for each in model.parameters())
+    assert count / 1e6 == pytest.approx(millions, abs=0.05)
+    assert f"{millions} million" in (DOCS / f"{planner}.md").read_text()
+
+
+def test_both_see_alike() -> None:
+    assert DIFFUSIONDRIVE.backbone == BACKBONE
