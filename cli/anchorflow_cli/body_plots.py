@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_trajectory.drawing import draw_outlines
 
-FORWARDS, BACKWARDS, ON_SPOT = "#1f4e9c", "#c25700", "#7a3ea1"
+FORWARDS, BACKWARDS, ON_SPOT, SIDEWAYS = "#1f4e9c", "#c25700", "#7a3ea1", "#1b7f5c"
 EVERY_S, MOST_OUTLINES = 0.4, 30
 STANDING, TURNING = 0.02, 0.05
 """m/s and rad/s, below which a robot stands."""
@@ -28,8 +28,8 @@ def draw_body(axes: Axes, anchors: AnchorBatch, corners: Floats) -> None:
     every = max(EVERY_S, lasts / MOST_OUTLINES)
     drawn, driven = outlines_at(poses, velocities, lasts, every=every)
     gears = gears_of(poses, velocities)
-    words = {1: "forwards", -1: "backwards", 0: "on the spot"}
-    for gear, colour in {1: FORWARDS, -1: BACKWARDS, 0: ON_SPOT}.items():
+    words = {1: "forwards", -1: "backwards", 0: "on the spot", 2: "sideways"}
+    for gear, colour in {1: FORWARDS, -1: BACKWARDS, 0: ON_SPOT, 2: SIDEWAYS}.items():
         chosen = driven == gear
         if not chosen.any():
             continue
@@ -52,18 +52,22 @@ def outlines_at(
 
 
 def gears_of(poses: Floats, velocities: Floats) -> NDArray[np.int64]:
-    """Return 1 for forwards, -1 for backwards, 0 for a turn on the spot, for each of poses [T, 3].
+    """Return the gear at each of poses [T, 3].
+
+    It is 1 forwards, -1 backwards, 0 for a turn on the spot, and 2 if it is rather sideways.
 
     A robot at rest is in the gear in which it drives on, or has arrived.
     """
     heading = poses[:, 2]
     along = velocities[:, 0] * np.cos(heading) + velocities[:, 1] * np.sin(heading)
-    turns = (np.abs(along) <= STANDING) & (np.abs(velocities[:, 2]) > TURNING)
-    known = np.flatnonzero((np.abs(along) > STANDING) | turns)
+    speed = np.hypot(velocities[:, 0], velocities[:, 1])
+    turns = (speed <= STANDING) & (np.abs(velocities[:, 2]) > TURNING)
+    known = np.flatnonzero((speed > STANDING) | turns)
     if not known.size:
         return np.ones(len(poses), np.int64)
     following = np.searchsorted(known, np.arange(len(poses))).clip(max=len(known) - 1)
-    gears = np.sign(along).astype(np.int64) * ~turns
+    slides = np.sqrt(0.5) * speed > np.abs(along)
+    gears = np.where(slides, 2, np.sign(along).astype(np.int64)) * ~turns
     return gears[known[following]]
 
 

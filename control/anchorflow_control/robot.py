@@ -27,7 +27,7 @@ class Robot:
     Positions are in the map's frame in m, headings in rad. The velocities vx and vy of an omni
     robot are in the *map's* frame too, in m/s, and its heading is kept. v is the speed forward in
     m/s, negative backwards, and w the turn rate in rad/s, positive to the left. An omni robot with
-    a footprint drives along its heading, as its anchors do, and turns on the spot.
+    a footprint drives along its heading and turns on the spot.
 
     Raises `InvalidRequest` for a wrong argument; it names the argument.
     """
@@ -96,11 +96,17 @@ class Robot:
 
     @property
     def options(self) -> dict[str, Any]:
-        """Return the fields of a request that describe this robot, as for `Planner.update`."""
+        """Return the fields of a request that describe this robot, as for `Planner.update`.
+
+        An omni robot with a footprint is driven along its heading, so that its anchors are those of
+        a differential drive that reverses.
+        """
         asked: dict[str, Any] = {"v_max": self.v_max, "a_max": self.a_max}
         if self.is_omni:
             return asked | {"robot_radius": self.radius}
         names = Kinematics.__dataclass_fields__
         asked["kinematics"] = Kinematics(**{name: getattr(self, name) for name in names})
+        if self.kind == "omni":
+            asked["kinematics"] = Kinematics("differential", omega_max=self.omega_max, reverse=True)
         body = "robot_radius" if self.radius is not None else "footprint"
         return asked | {body: self.reach if self.radius is not None else self.footprint}

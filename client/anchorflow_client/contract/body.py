@@ -25,8 +25,9 @@ class Kinematics:
     kind: Annotated[
         str,
         Text(
-            "omni: any way, but along its heading if it has a footprint; differential: along its "
-            "heading, and turning on the spot; ackermann: like a car.",
+            "omni: any way, at any heading if it has a footprint; differential: along its heading, "
+            "and turning on the spot; ackermann: like a car. A footprint without kinematics drives "
+            "along its heading, in both directions.",
             KINDS,
             required=True,
         ),

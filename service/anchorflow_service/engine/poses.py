@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from anchorflow_client.contract.body import Kinematics
+from anchorflow_client.contract.body import DEFAULT_OMEGA_MAX, Kinematics
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest
 from anchorflow_service.engine.conditioning.cost_map import MapScene, outline_of
 from anchorflow_service.engine.interfaces import DT, Arrays
@@ -16,14 +16,15 @@ from anchorflow_trajectory.bodies.wheels import Wheels
 
 
 def wheels_of(kinematics: Kinematics | None) -> Wheels:
-    """Return what the wheels of a request allow; a body without wheels may do as it likes."""
+    """Return what the wheels of a request allow; without a kind they drive both ways."""
     if kinematics is None:
-        return Wheels(Kinematics("omni").omega_max, reverse=True)
-    drives = kinematics.kind != "omni"
+        return Wheels(DEFAULT_OMEGA_MAX, reverse=True)
+    if kinematics.kind == "omni":
+        return Wheels(kinematics.omega_max, slides=True)
     return Wheels(
         kinematics.omega_max,
-        kinematics.min_turning_radius if drives else 0.0,
-        reverse=kinematics.reverse or not drives,
+        kinematics.min_turning_radius,
+        reverse=kinematics.reverse,
         spot=kinematics.kind != "ackermann",
     )
 

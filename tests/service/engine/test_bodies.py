@@ -65,9 +65,13 @@ def asked(
 
 
 def assert_driven(
-    anchors: AnchorBatch, occupied: np.ndarray, footprint: np.ndarray = FORKLIFT
+    anchors: AnchorBatch,
+    occupied: np.ndarray,
+    footprint: np.ndarray = FORKLIFT,
+    *,
+    slides: bool = False,
 ) -> None:
-    """Safe anchors touch nothing, slip nowhere, keep the limits, and their derivatives agree."""
+    """Safe anchors touch nothing, keep the limits and slip nowhere; their derivatives agree."""
     assert anchors.is_finite
     assert anchors.safe.any(), "nothing is safe"
     judge = BodyJudge(occupied, RESOLUTION, footprint)
@@ -75,9 +79,10 @@ def assert_driven(
     accelerations = anchors.accelerations[anchors.safe]
     steps = (np.broadcast_to(anchors.dt, anchors.safe.shape))[anchors.safe]
     assert not any(judge.touches(path) for path in poses)
-    assert np.abs(sideways(poses, velocities)).max() < 1e-5
+    assert slides or np.abs(sideways(poses, velocities)).max() < 1e-5
     assert np.abs(velocities[..., 2]).max() <= OMEGA_MAX
-    assert np.abs(ahead(poses, velocities)).max() <= V_MAX
+    assert np.hypot(velocities[..., 0], velocities[..., 1]).max() <= V_MAX
+    assert np.hypot(accelerations[..., 0], accelerations[..., 1]).max() <= A_MAX
     for path, velocity, pull, dt in zip(poses, velocities, accelerations, steps, strict=True):
         moved, changed = np.diff(path, axis=0), np.diff(velocity, axis=0)
         middle = 0.5 * (velocity[1:] + velocity[:-1])
@@ -139,6 +144,34 @@ def test_a_car_parks_backwards_and_can_be_driven_open_loop(engine: Engine, aside
     assert (speed[[0, -1]] < 1e-6).all()
     end = driven(path, velocity, float(anchors.durations[best]))
     np.testing.assert_allclose(end, goal, atol=0.05)
+
+
+BAY = walls((-2.9, 2.9, -0.4, 2.0), (-0.55, 0.55, -1.3, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("occupied", "start", "velocity", "goal"),
+    [
+        (BAY, (-1.5, 0.4, 0.0), (0.0, 0.0, 0.0), (0.0, -0.9, 0.0)),  # a bay it cannot turn in
+        (FREE, (-2.0, -1.0, 0.0), (0.1, 0.6, 0.3), (2.0, 1.0, 2.5)),  # turns while it drives
+    ],
+)
+def test_an_omni_robot_slides(
+    engine: Engine, occupied: np.ndarray, start: Place, velocity: Place, goal: Place
+) -> None:
+    anchors = asked(
+        engine, occupied, start, goal, x_curr=[*start, *velocity, 0.0, 0.0, 0.0],
+        kinematics={"kind": "omni", "omega_max": OMEGA_MAX}, goal_tolerance=None,
+    )  # fmt: skip
+    assert_driven(anchors, occupied, slides=True)
+    assert anchors.safe.mean() > 0.9
+    for t, wanted in ((0, start), (-1, goal)):
+        np.testing.assert_allclose(anchors.trajectories[:, t], [wanted] * 24, atol=1e-3)
+    np.testing.assert_allclose(anchors.velocities[:, 0], [velocity] * 24, atol=0.02)
+    assert np.abs(sideways(anchors.trajectories, anchors.velocities)).max(1).min() > 0.3
+    if not any(velocity):
+        wheels = asked(engine, occupied, start, goal, goal_tolerance=None)
+        assert not wheels.safe.any()
 
 
 def test_a_robot_that_moves_goes_on_as_it_moves(engine: Engine) -> None:

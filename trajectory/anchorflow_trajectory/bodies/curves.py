@@ -1,7 +1,8 @@
 """Stretches that are driven in one gear, as splines: the heading is the curve's own direction.
 
 A stretch is a clamped B-spline [K, 2] over u in [0, 1]; driven backwards, the robot looks against
-the curve. So the wheels never slip sideways, whatever the control points are.
+the curve. So the wheels never slip sideways, whatever the control points are. A robot that slides
+has its heading as a third component, [K, 3].
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.bodies.wheels import BACKWARD
+from anchorflow_trajectory.bodies.wheels import BACKWARD, SLIDING
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import Grid, look_up
 from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
@@ -76,12 +77,36 @@ def fitted(
         held += 1
     if fixed_end:
         control[-2] = control[-1] - reach * np.array([np.cos(end), np.sin(end)])
-    free = slice(held, count - last)
-    matrix = basis.position.astype(np.float64)
-    residual = wanted - matrix @ control
+    return _free_points(control, wanted, basis, slice(held, count - last))
+
+
+def slid(points: FloatArray, basis: SplineBasis, first: FloatArray | None) -> NDArray[np.float64]:
+    """Return control points [K, 3] of the curve along poses [P, 3] of a robot that slides.
+
+    Both ends are exact. first: [3], the velocity in m/s and the turn per metre at the start
+    """
+    legs = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    marks = np.append(0.0, legs.cumsum())
+    length, spans = max(float(marks[-1]), TINY), basis.num_control_points - DEGREE
+    at = np.linspace(0.0, length, basis.num_samples)
+    wanted = np.stack([np.interp(at, marks, each) for each in points.T], 1)
+    control = np.zeros((basis.num_control_points, 3))
+    control[0], control[-1], held = points[0], points[-1], 1
+    if first is not None:
+        step = np.append(first[:2] / max(float(np.hypot(*first[:2])), TINY), first[2])
+        control[1] = control[0] + length / (DEGREE * spans) * step
+        control[2], held = control[1] + 2.0 * (control[1] - control[0]), 1 + KEPT
+    return _free_points(control, wanted, basis, slice(held, -1))
+
+
+def _free_points(
+    control: FloatArray, wanted: FloatArray, basis: SplineBasis, free: slice
+) -> NDArray[np.float64]:
+    """Return control points [K, D] with the free ones fitted to samples [S, D], smoothly."""
+    matrix, spans = basis.position.astype(np.float64), basis.num_control_points - DEGREE
     jumps = basis.jerk.astype(np.float64) / spans**3
     rows = np.concatenate([matrix, STIFF * jumps])[:, free]
-    wanted = np.concatenate([residual, -STIFF * jumps @ control])
+    wanted = np.concatenate([wanted - matrix @ control, -STIFF * jumps @ control])
     control[free] = np.linalg.solve(rows.T @ rows, rows.T @ wanted)
     return control
 
@@ -128,15 +153,15 @@ def settle(
     pull: Pull,
     steps: int,
 ) -> None:
-    """Descend on the cost of curves, by Adam, and change their control points [N, K, 2].
+    """Descend on the cost of curves, by Adam, and change their control points [N, K, D].
 
     margins: [N] m of room that the outline should have
     held, last: control points at both ends that stay
     rim: [Q, 2] points of the outline; reach: m to the farthest
     room: m to the nearest occupied cell; dear: m of detour that a metre is worth
     """
-    count = controls.shape[1]
-    slope, first, second = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2))
+    shape = controls.shape[1:]
+    count, slope, first, second = shape[0], np.empty(shape), np.empty(shape), np.empty(shape)
     for n in range(len(controls)):
         control = controls[n]
         first[:], second[:] = 0.0, 0.0
@@ -157,11 +182,11 @@ def _descend(
     rate: float,
     step: int,
 ) -> None:
-    """Take a step of Adam on control points [K, 2]."""
+    """Take a step of Adam on control points [K, D]."""
     decay_first = 1.0 - FIRST_MOMENT ** (step + 1)
     decay_second = 1.0 - SECOND_MOMENT ** (step + 1)
     for k in range(len(control)):
-        for d in range(2):
+        for d in range(control.shape[1]):
             value = slope[k, d]
             first[k, d] = FIRST_MOMENT * first[k, d] + (1.0 - FIRST_MOMENT) * value
             second[k, d] = SECOND_MOMENT * second[k, d] + (1.0 - SECOND_MOMENT) * value * value
@@ -182,7 +207,7 @@ def _charge_samples(
     pull: Pull,
     slope: FloatArray,
 ) -> None:
-    """Add to slopes [K, 2] those of too little room, tight bends and dear ground."""
+    """Add to slopes [K, D] those of too little room, tight bends and dear ground."""
     width, samples = band.weights.shape[2], len(band.first)
     for t in range(samples):
         first = band.first[t]
@@ -197,25 +222,20 @@ def _charge_samples(
             ddy += band.weights[t, 2, j] * py
         speed = np.sqrt(dx * dx + dy * dy) + TINY
         cosine, sine = gear * dx / speed, gear * dy / speed
+        if gear == SLIDING:
+            heading = _heading_at(control, band, t)
+            cosine, sine = np.cos(heading), np.sin(heading)
         share = speed / samples
         # Slopes by place, by heading and by both derivatives.
-        gx, gy, turn = 0.0, 0.0, 0.0
-        free = value_at(room, x, y)
-        if free < reach + margin:
-            for q in range(len(rim)):
-                bx = cosine * rim[q, 0] - sine * rim[q, 1]
-                by = sine * rim[q, 0] + cosine * rim[q, 1]
-                lack = margin - value_at(room, x + bx, y + by)
-                if lack > 0.0:
-                    _, along_x, along_y = look_up(room, x + bx, y + by)
-                    force = -2.0 * pull.room * min(lack, 2.0 * margin) * share
-                    gx += force * along_x
-                    gy += force * along_y
-                    turn += force * (along_y * bx - along_x * by)
+        gx, gy, turn = _push(x, y, cosine, sine, margin, share, rim, reach, room, pull)
         if dear.values.size:
             _, along_x, along_y = look_up(dear, x, y)
             gx += pull.soft * share * along_x
             gy += pull.soft * share * along_y
+        if gear == SLIDING:
+            for j in range(width):
+                slope[first + j, 2] += band.weights[t, 0, j] * turn
+            turn = 0.0
         hx, hy = -turn * dy / (speed * speed), turn * dx / (speed * speed)
         cubed = speed * speed * speed
         bend = (dx * ddy - dy * ddx) / cubed
@@ -233,10 +253,49 @@ def _charge_samples(
 
 
 @compiled
+def _push(
+    x: float,
+    y: float,
+    cosine: float,
+    sine: float,
+    margin: float,
+    share: float,
+    rim: FloatArray,
+    reach: float,
+    room: Grid,
+    pull: Pull,
+) -> tuple[float, float, float]:
+    """The slopes by place and by heading of too little room at a pose."""
+    gx, gy, turn = 0.0, 0.0, 0.0
+    if value_at(room, x, y) >= reach + margin:
+        return gx, gy, turn
+    for q in range(len(rim)):
+        bx = cosine * rim[q, 0] - sine * rim[q, 1]
+        by = sine * rim[q, 0] + cosine * rim[q, 1]
+        lack = margin - value_at(room, x + bx, y + by)
+        if lack > 0.0:
+            _, along_x, along_y = look_up(room, x + bx, y + by)
+            force = -2.0 * pull.room * min(lack, 2.0 * margin) * share
+            gx += force * along_x
+            gy += force * along_y
+            turn += force * (along_y * bx - along_x * by)
+    return gx, gy, turn
+
+
+@compiled
+def _heading_at(control: FloatArray, band: Band, t: int) -> float:
+    """The heading at a sample of a curve [K, 3] that has its own."""
+    heading = 0.0
+    for j in range(band.weights.shape[2]):
+        heading += band.weights[t, 0, j] * control[band.first[t] + j, 2]
+    return heading
+
+
+@compiled
 def _charge_shape(control: FloatArray, pull: Pull, slope: FloatArray) -> None:
-    """Add to slopes [K, 2] those of an uneven curve (third differences) and of its length."""
+    """Add to slopes [K, D] those of an uneven curve (third differences) and of its length."""
     count = len(control)
-    for d in range(2):
+    for d in range(control.shape[1]):
         # Clamped ends are uneven by themselves.
         for k in range(ENDS, count - 3 - ENDS):
             jump = control[k + 3, d] - 3.0 * control[k + 2, d] + 3.0 * control[k + 1, d]
@@ -253,7 +312,11 @@ def _charge_shape(control: FloatArray, pull: Pull, slope: FloatArray) -> None:
 
 @compiled
 def curve_at(control: FloatArray, band: Band, t: int, gear: int, out: FloatArray) -> None:
-    """Write x, y, the heading, the curvature [1/m], its change [1/m^2] and |dr/du| at a sample."""
+    """Write what a curve is at a sample, [8].
+
+    It is x, y, the heading, the course [rad], its curvature [1/m], the turn of the heading [rad/m],
+    the change of that [rad/m^2] and |dr/du|.
+    """
     first = band.first[t]
     x, y, dx, dy = 0.0, 0.0, 0.0, 0.0
     ddx, ddy, jx, jy = 0.0, 0.0, 0.0, 0.0
@@ -271,7 +334,16 @@ def curve_at(control: FloatArray, band: Band, t: int, gear: int, out: FloatArray
     cross = dx * ddy - dy * ddx
     bend = cross / speed**3
     change = (dx * jy - dy * jx) / speed**4 - 3.0 * bend * (dx * ddx + dy * ddy) / speed**3
-    heading = np.arctan2(dy, dx)
+    course = np.arctan2(dy, dx)
+    heading, turn = course, bend
     if gear == BACKWARD:
         heading += np.pi
-    out[0], out[1], out[2], out[3], out[4], out[5] = x, y, heading, bend, change, speed
+    if gear == SLIDING:
+        heading, turn, change = 0.0, 0.0, 0.0
+        for j in range(band.weights.shape[2]):
+            heading += band.weights[t, 0, j] * control[first + j, 2]
+            turn += band.weights[t, 1, j] * control[first + j, 2] / speed
+            change += band.weights[t, 2, j] * control[first + j, 2] / speed**2
+        change -= turn * (dx * ddx + dy * ddy) / speed**3
+    out[0], out[1], out[2], out[3], out[4] = x, y, heading, course, bend
+    out[5], out[6], out[7] = turn, change, speed

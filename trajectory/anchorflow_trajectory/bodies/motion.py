@@ -1,7 +1,8 @@
 """Motions along the stretches of a way: its table by arc length, a law of time, and the poses.
 
 A way is a table of rows, one stretch after the other: m (or, on the spot, rad) along the stretch,
-x, y, heading, curvature [1/m] and its change [1/m^2]. Between rows everything is linear.
+x, y, heading, course [rad] and its curvature [1/m], the turn of the heading [rad/m] and its change
+[rad/m^2]. On wheels the course is the heading, or its reverse. Between rows everything is linear.
 
 The law of a stretch speeds up and brakes as limits allow, averaged over a short window of time. The
 average keeps speeds and accelerations within the same limits and bounds the jerk, and it stays in
@@ -18,14 +19,14 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.bodies.curves import curve_at, value_at
 from anchorflow_trajectory.bodies.outline import Ground, touches
-from anchorflow_trajectory.bodies.wheels import TURNING
+from anchorflow_trajectory.bodies.wheels import BACKWARD, TURNING
 from anchorflow_trajectory.compiled import compiled
 from anchorflow_trajectory.cost.fields import Grid
 from anchorflow_trajectory.movers import Discs, place_at
 from anchorflow_trajectory.spline.kernels import Band
 
-ALONG, X, Y, HEADING, BEND, CHANGE = range(6)
-COLUMNS = 6
+ALONG, X, Y, HEADING, COURSE, BEND, TURN, CHANGE = range(8)
+COLUMNS = 8
 PULLING, SIDEWAYS = 0.8, 0.6  # shares of a_max: along the way, and across in bends
 SPIN_SHARE, SPIN_S = 0.93, 0.4  # of omega_max, and s in which a turn reaches it
 TIGHT = 1e-6  # 1/m
@@ -54,19 +55,21 @@ class Law(NamedTuple):
 
 @compiled
 def tabulate(control: FloatArray, band: Band, gear: int, heading: float, rows: FloatArray) -> None:
-    """Write the tables [N, R, 6] of curves [N, K, 2], sampled R times; heading: about the first."""
-    out = np.empty(6)
+    """Write the tables [N, R, 8] of curves [N, K, D], sampled R times; heading: about the first."""
+    out = np.empty(8)
     for n in range(len(control)):
         along, before, pace = 0.0, heading, 0.0
+        course = heading + (np.pi if gear == BACKWARD else 0.0)
         for t in range(rows.shape[1]):
             curve_at(control[n], band, t, gear, out)
             if t:
-                along += 0.5 * (pace + out[5]) / (rows.shape[1] - 1)
-            pace = out[5]
-            turn = (out[2] - before + np.pi) % (2.0 * np.pi) - np.pi
-            before += turn
+                along += 0.5 * (pace + out[7]) / (rows.shape[1] - 1)
+            pace = out[7]
+            before += (out[2] - before + np.pi) % (2.0 * np.pi) - np.pi
+            course += (out[3] - course + np.pi) % (2.0 * np.pi) - np.pi
             rows[n, t, ALONG], rows[n, t, X], rows[n, t, Y] = along, out[0], out[1]
-            rows[n, t, HEADING], rows[n, t, BEND], rows[n, t, CHANGE] = before, out[3], out[4]
+            rows[n, t, HEADING], rows[n, t, COURSE], rows[n, t, BEND] = before, course, out[4]
+            rows[n, t, TURN], rows[n, t, CHANGE] = out[5], out[6]
 
 
 @compiled
@@ -83,7 +86,7 @@ def certify(
     most_bend: float,
     whole: bool,
 ) -> tuple[BoolArray, NDArray[np.float64]]:
-    """Whether ways [N, R, 6] touch nothing and bend no tighter than allowed, and their room [N] m.
+    """Whether ways [N, R, 8] touch nothing and bend no tighter than allowed, and their room [N] m.
 
     corners: [K, 2] of the outline, with the margin that lies between two poses that are tested
     rim: [Q, 2] points of the outline itself, from which the room is measured
@@ -114,7 +117,7 @@ def certify(
 
 @compiled
 def _moved(before: FloatArray, row: FloatArray, reach: float) -> float:
-    """Return m that no point of an outline moves further than, from one row [6] to the next."""
+    """Return m that no point of an outline moves further than, from one row [8] to the next."""
     moved = np.hypot(row[X] - before[X], row[Y] - before[Y])
     return moved + abs(row[HEADING] - before[HEADING]) * reach
 
@@ -128,7 +131,7 @@ def _touched(
     row: FloatArray,
     spans: FloatArray,
 ) -> bool:
-    """Whether an outline touches something on the way from one row [6] to the next."""
+    """Whether an outline touches something on the way from one row [8] to the next."""
     parts = max(1, int(np.ceil(_moved(before, row, reach) / CLOSE)))
     pose = np.empty(3)
     for part in range(parts):
@@ -142,7 +145,7 @@ def _touched(
 
 @compiled
 def _room(rim: FloatArray, reach: float, room: Grid, row: FloatArray, known: float) -> float:
-    """m from the outline [Q, 2] at a row [6] to the nearest occupied cell, or less beyond known."""
+    """m from the outline [Q, 2] at a row [8] to the nearest occupied cell, or less beyond known."""
     about = value_at(room, row[X], row[Y]) - reach
     if about > known:
         return about
@@ -158,7 +161,7 @@ def _room(rim: FloatArray, reach: float, room: Grid, row: FloatArray, known: flo
 def law_along(
     rows: FloatArray, turning: bool, limits: Limits, pace: float, begin: float, end: float
 ) -> tuple[Law, bool]:
-    """The law along a stretch [R, 6] between two speeds, and whether it can be kept.
+    """The law along a stretch [R, 8] between two speeds, and whether it can be kept.
 
     pace: share of the highest speed; begin, end: m/s
     """
@@ -201,7 +204,7 @@ def law_along(
 
 @compiled
 def _highest_speeds(rows: FloatArray, limits: Limits) -> NDArray[np.float64]:
-    """The highest speeds [R] in the bends of a stretch [R, 6] that is driven.
+    """The highest speeds [R] in the bends of a stretch [R, 8] that is driven.
 
     Each holds for the bends within half a window too, since the law is averaged.
     """
@@ -212,16 +215,22 @@ def _highest_speeds(rows: FloatArray, limits: Limits) -> NDArray[np.float64]:
     for k in range(count):
         while high < count - 1 and (high < k or rows[high, ALONG] < rows[k, ALONG] + half):
             high += 1
-            while last > first and abs(rows[tightest[last - 1], BEND]) <= abs(rows[high, BEND]):
+            while last > first and _hardest(rows[tightest[last - 1]]) <= _hardest(rows[high]):
                 last -= 1
             tightest[last] = high
             last += 1
         while rows[tightest[first], ALONG] < rows[k, ALONG] - half:
             first += 1
-        bend = max(abs(rows[tightest[first], BEND]), TIGHT)
+        bend = max(_hardest(rows[tightest[first]]), TIGHT)
         in_turns = SPIN_SHARE * limits.omega_max / bend
         speeds[k] = min(limits.v_max, in_turns, np.sqrt(SIDEWAYS * limits.a_max / bend))
     return speeds
+
+
+@compiled
+def _hardest(row: FloatArray) -> float:
+    """1/m, by the bend of a row [8] or, if that is more, by the turn of its heading."""
+    return max(abs(row[BEND]), abs(row[TURN]))
 
 
 @compiled
@@ -266,7 +275,7 @@ def drive(
     motion: FloatArray,
     durations: FloatArray,
 ) -> BoolArray:
-    """Drive along ways [N, R, 6]; returns whether each can be kept from its first speed on.
+    """Drive along ways [N, R, 8]; returns whether each can be kept from its first speed on.
 
     Args:
         paces: [N] shares of the highest speed; waits: [N] s at rest before.
@@ -313,7 +322,7 @@ def drive(
 def _pose(
     rows: FloatArray, gear: int, place: float, speed: float, pull: float, out: FloatArray
 ) -> None:
-    """Write the pose, velocity and acceleration [3, 3] at a place of a stretch [R, 6]."""
+    """Write the pose, velocity and acceleration [3, 3] at a place of a stretch [R, 8]."""
     last = len(rows) - 1
     place = min(max(place, 0.0), rows[last, ALONG])
     k = min(max(np.searchsorted(rows[:, ALONG], place, "right") - 1, 0), last - 1)
@@ -325,13 +334,14 @@ def _pose(
         out[1:] = 0.0
         out[1, 2], out[2, 2] = side * speed, side * pull
         return
-    bend = rows[k, BEND] + share * (rows[k + 1, BEND] - rows[k, BEND])
-    change = rows[k, CHANGE] + share * (rows[k + 1, CHANGE] - rows[k, CHANGE])
-    cosine, sine = gear * np.cos(out[0, 2]), gear * np.sin(out[0, 2])
+    course, bend, turn, change = rows[k, COURSE:] + share * (
+        rows[k + 1, COURSE:] - rows[k, COURSE:]
+    )
+    cosine, sine = np.cos(course), np.sin(course)
     across = speed * speed * bend
-    out[1, 0], out[1, 1], out[1, 2] = speed * cosine, speed * sine, speed * bend
+    out[1, 0], out[1, 1], out[1, 2] = speed * cosine, speed * sine, speed * turn
     out[2, 0], out[2, 1] = pull * cosine - across * sine, pull * sine + across * cosine
-    out[2, 2] = bend * pull + change * speed * speed
+    out[2, 2] = turn * pull + change * speed * speed
 
 
 @compiled

@@ -15,6 +15,7 @@ from anchorflow_trajectory.bodies.evasion import evading
 from anchorflow_trajectory.bodies.motion import CLOSE, COLUMNS, certify, drive, room_to_movers
 from anchorflow_trajectory.bodies.scene import BETWEEN, LEAST_CELL, BodyScene
 from anchorflow_trajectory.bodies.ways import Run, Stretch, WaySearch
+from anchorflow_trajectory.bodies.wheels import TURNING
 from anchorflow_trajectory.finish.refiner import Refined, numbered
 from anchorflow_trajectory.movers import Discs
 
@@ -46,7 +47,9 @@ class BodyPlanner:
 
     def plan(self, count: int, seed: int, certified_margin: float = 0.0) -> Refined:
         """Return `count` anchors with positions [N, T, 3]: x and y in m, heading in rad."""
-        lines = [(self, line) for line in self._lines(certified_margin)]
+        lines: list[tuple[BodyPlanner, _Line]] = [
+            (self, line) for line in self._lines(certified_margin)
+        ]
         if self.problem.scene.movers is not None:
             lines = self._past_movers(lines, certified_margin)
         drawn, paces = _drawn(count, seed)
@@ -98,7 +101,8 @@ class BodyPlanner:
         def attempt(k: int) -> None:
             owner, line = lines[k]
             shapes = np.zeros((1, 2, 3))
-            passes[k] = owner._anchors(line, shapes, np.array(PACES), certified).safe.any()
+            found = owner._anchors(line, shapes, np.array(PACES), certified)
+            passes[k] = bool(found.safe.any())
 
         self.run([partial(attempt, k) for k in range(len(lines))])
         return [line for k, line in enumerate(lines) if passes[k]] or lines
@@ -136,7 +140,7 @@ class BodyPlanner:
         *,
         whole: bool = False,
     ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Return the tables [N, R, 6] of curves [N, K, 2], which are safe, and their room [N] m.
+        """Return the tables [N, R, 8] of curves [N, K, D], which are safe, and their room [N] m.
 
         whole: whether the room of those that are not safe counts
         """
@@ -180,7 +184,7 @@ class BodyPlanner:
     def _shaped(
         self, line: _Line, drawn: FloatArray, certified: float
     ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Return tables [S, R, 6] of shapes, which of them are safe, and their room [S] m.
+        """Return tables [S, R, 8] of shapes, which of them are safe, and their room [S] m.
 
         One that is not safe is the way's own.
         """
@@ -213,7 +217,7 @@ class BodyPlanner:
         durations = np.empty(len(chosen))
         lasts = self.problem.scene.motion.horizon_s or 0.0
         last = line.way[-1]
-        end = self.problem.last_speed(last.gear, float(last.poses[-1, 2]))
+        end = 0.0 if last.gear == TURNING else self.problem.last_speed(last.course)
         keeps = drive(
             table[chosen], line.gears, line.begins, self.problem.limits,
             np.ascontiguousarray(paces),
@@ -256,7 +260,7 @@ class BodyPlanner:
         margin: float | FloatArray,
         steps: int = SETTLING,
     ) -> FloatArray:
-        """Descend on curves [N, K, 2], which change, to `margin` m of room each."""
+        """Descend on curves [N, K, D], which change, to `margin` m of room each."""
         if stretch.basis is None:
             return controls
         rim, reach = self.problem.body.outline.rim(COARSE_RIM), self.problem.body.outline.reach
@@ -274,25 +278,26 @@ class BodyPlanner:
         return controls
 
     def _varied(self, stretch: Stretch, base: FloatArray, drawn: FloatArray) -> FloatArray:
-        """Return curves [N, K, 2] beside a base [K, 2], as drawn [N, 2, 3] says; settled."""
+        """Return curves [N, K, D] beside a base [K, D], as drawn [N, 2, 3] says; settled."""
         count = len(drawn)
         if stretch.basis is None:
             return np.empty((count, 0, 2))
         points = len(base)
-        along = np.gradient(base, axis=0)
+        along = np.gradient(base[:, :2], axis=0)
         along /= np.maximum(np.hypot(*along.T), 1e-9)[:, None]
         across = np.stack([-along[:, 1], along[:, 0]], 1)
         share = np.linspace(0.0, 1.0, points)
         waves = np.sin(np.pi * np.arange(1, 4)[:, None] * share) / np.arange(1, 4)[:, None]
         wide = WIDE * self.problem.cell / LEAST_CELL
         # Who is fast has no room for a bend at once.
-        legs = float(np.hypot(*np.diff(base, axis=0).T).sum())
+        legs = float(np.hypot(*np.diff(base[:, :2], axis=0).T).sum())
         speed = abs(self.problem.first_speed) if stretch.held > KEPT else 0.0
         eased = np.minimum(share * legs / max(EASED_S * speed, 1e-9), 1.0)
         offset = wide * drawn[:, 0] @ waves * eased**2
         offset[:, : stretch.held] = 0.0
         offset[:, points - stretch.last :] = 0.0
-        controls = base + offset[..., None] * across
+        controls = np.repeat(base[None], count, 0)
+        controls[..., :2] += offset[..., None] * across
         safety = float(self.problem.scene.effective_style[0])
         wish = np.clip(np.abs(drawn[:, 1, 0]) * (0.4 + safety) / 1.6, 0.0, 1.0)
         margins = LEAST_MARGIN + (MOST_MARGIN - LEAST_MARGIN) * wish
@@ -345,7 +350,7 @@ def _drawn(count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """A way's own curve: control points of each stretch [1, K, 2], table [1, R, 6], and verdict.
+    """A way's own curve: control points of each stretch [1, K, D], table [1, R, 8], and verdict.
 
     gears: [G] of its stretches; begins: [G + 1], their first rows in the table
     """

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.bodies.motion import Limits
 from anchorflow_trajectory.bodies.outline import Ground, Outline, ground_of, touches
-from anchorflow_trajectory.bodies.wheels import BACKWARD, FORWARD, STANDING, Wheels
+from anchorflow_trajectory.bodies.wheels import BACKWARD, FORWARD, SLIDING, STANDING, Wheels
 from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import Grid
@@ -20,6 +20,7 @@ CELL_SHARE, LEAST_CELL, MOST_CELL = 0.3, 0.08, 1.0  # of a search: of the inner 
 BETWEEN = 0.012  # m that the outline moves between two poses that are tested, from either
 WINDOW, LEAST_WINDOW, MOST_WINDOW = 0.45, 0.1, 0.6  # of the average: in v_max / a_max, and s
 MOVING = 0.02  # m/s
+BRAKING = 0.7  # share of a_max
 MOST_BEND = 2.0  # 1/m, that a robot which can turn on the spot begins with
 RINGS, DIRECTIONS = (0.45, 0.9), np.arange(12) / 6.0  # of a tolerance, and in half turns
 HEADINGS = np.array([0.0, 0.4, -0.4, 0.9, -0.9])  # of a tolerance
@@ -84,8 +85,10 @@ class BodyScene:
 
     @property
     def first_speed(self) -> float:
-        """m/s along the heading; a robot on wheels has no other."""
+        """m/s along the heading; a robot on wheels has no other. Who slides has it any way."""
         heading, velocity = self.scene.x_curr[2], self.scene.x_curr[3:5]
+        if self.body.wheels.slides:
+            return float(np.hypot(*velocity))
         return float(velocity[0] * np.cos(heading) + velocity[1] * np.sin(heading))
 
     @property
@@ -93,6 +96,8 @@ class BodyScene:
         """The gear in which the robot moves at the start."""
         if not self.moves:
             return STANDING
+        if self.body.wheels.slides:
+            return SLIDING
         return BACKWARD if self.first_speed < 0.0 else FORWARD
 
     @property
@@ -101,17 +106,35 @@ class BodyScene:
         return abs(self.first_speed) > MOVING
 
     @property
+    def lead(self) -> NDArray[np.float64]:
+        """[P, 3], poses that the robot keeps to at the start: who slides may brake on its course.
+
+        Beyond braking the law looks ahead by half a window, and a spline rounds the corner.
+        """
+        if not (self.moves and self.body.wheels.slides):
+            return self.start[None]
+        rates = np.asarray(self.scene.x_curr[3:6], np.float64) / self.first_speed
+        length = self.braking + 0.5 * self.limits.window * self.limits.v_max + 2.0 * self.cell
+        way = np.linspace(0.0, length, 2 + int(length / self.cell))
+        return self.start + way[:, None] * rates
+
+    @property
+    def braking(self) -> float:
+        """m in which the robot can stop at the start."""
+        return 0.5 * self.first_speed**2 / (BRAKING * self.scene.motion.a_max)
+
+    @property
     def first_bend(self) -> float:
-        """1/m, the curvature that the robot drives at the start."""
+        """rad/m that the robot turns at the start: of wheels, the curvature that they drive."""
         bend = float(self.scene.x_curr[5]) / abs(self.first_speed)
         radius = self.body.wheels.min_radius
         most = 1.0 / radius if radius > 0.0 else MOST_BEND
         return float(np.clip(bend, -most, most))
 
-    def last_speed(self, gear: int, heading: float) -> float:
-        """m/s at the goal, along a way that ends in this gear and heading."""
+    def last_speed(self, course: float) -> float:
+        """m/s at the goal, along a way whose last motion has this direction [rad]."""
         x, y = self.scene.x_goal[3:5]
-        return max(float(gear * (x * np.cos(heading) + y * np.sin(heading))), 0.0)
+        return max(float(x * np.cos(course) + y * np.sin(course)), 0.0)
 
     @property
     def cell(self) -> float:

@@ -216,7 +216,8 @@ def _key(ground: Ground, cell: float, bins: int, nodes: Nodes, node: int) -> int
     row = int(np.floor((pose[1] - ground.y) / cell))
     column = int(np.floor((pose[0] - ground.x) / cell))
     turn = int(np.floor(pose[2] / (2.0 * np.pi) * bins)) % bins
-    return ((row * ROWS + column) * BINS + turn) * 4 + nodes.gears[node] + 1
+    # Who slides has no gear but this one and turns on the spot.
+    return ((row * ROWS + column) * BINS + turn) * 4 + ((nodes.gears[node] + 1) & 3)
 
 
 @compiled

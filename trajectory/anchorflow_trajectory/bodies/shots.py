@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.bodies.outline import Ground, touches
-from anchorflow_trajectory.bodies.wheels import BACKWARDS, TURNING, Moves
+from anchorflow_trajectory.bodies.wheels import BACKWARDS, BEND, SLIDING, TURNING, Moves
 from anchorflow_trajectory.compiled import compiled
 
 LEG, LEG_TURN, SPOT_TURN = 0.06, 0.2, 0.1  # m and rad between two poses, and rad on the spot
 MOST_TURN = 1.25 * np.pi  # of one turn
 EXACT = 1e-6  # rad
+LEAST_SLIDE = 0.2  # m of way that a rad of turning takes while sliding
 
 
 class Target(NamedTuple):
@@ -41,8 +42,26 @@ def direct_way(
 ) -> tuple[NDArray[np.float64], float]:
     """The cheapest direct way [P, 4] from a pose to the target that touches nothing, and its cost.
 
-    It is a turn, a straight line and, where the heading counts, another turn.
+    It is a turn, a straight line and, where the heading counts, another turn; of a robot that
+    slides, a straight line.
     """
+    if moves.slides:
+        return _slide(ground, corners, reach, moves, at, gear, target, spans)
+    return _turns_and_line(ground, corners, reach, moves, at, gear, target, spans)
+
+
+@compiled
+def _turns_and_line(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    moves: Moves,
+    at: FloatArray,
+    gear: int,
+    target: Target,
+    spans: FloatArray,
+) -> tuple[NDArray[np.float64], float]:
+    """The cheapest of the turns, lines and turns to the target that touch nothing, and its cost."""
     best, best_cost = np.empty((0, 4)), np.inf
     legs, found = np.empty((3, 2)), np.empty((0, 4))
     turns_last = target.heading and not moves.spot
@@ -73,6 +92,38 @@ def direct_way(
             if clear:
                 best, best_cost = found, cost
     return best, best_cost
+
+
+@compiled
+def _slide(
+    ground: Ground,
+    corners: FloatArray,
+    reach: float,
+    moves: Moves,
+    at: FloatArray,
+    gear: int,
+    target: Target,
+    spans: FloatArray,
+) -> tuple[NDArray[np.float64], float]:
+    """The straight way to the target on which the heading turns evenly, and its cost."""
+    length, turn = np.hypot(target.pose[0] - at[0], target.pose[1] - at[1]), 0.0
+    if target.heading:
+        turn = (target.pose[2] - at[2] + np.pi) % (2.0 * np.pi) - np.pi
+    new, cost = SLIDING, length + BEND * abs(turn)
+    if length < LEAST_SLIDE * abs(turn):
+        if length > EXACT:
+            return np.empty((0, 4)), np.inf
+        new, cost = TURNING, moves.spin * abs(turn)
+    count = max(1, int(np.ceil(max(length / LEG, abs(turn) / SPOT_TURN))))
+    way = np.empty((count, 4))
+    for k in range(count):
+        share = (k + 1.0) / count
+        way[k, 0] = at[0] + share * (target.pose[0] - at[0])
+        way[k, 1] = at[1] + share * (target.pose[1] - at[1])
+        way[k, 2], way[k, 3] = at[2] + share * turn, new
+        if touches(ground, corners, reach, way[k, :3], spans):
+            return np.empty((0, 4)), np.inf
+    return way, cost + (moves.stop if new != gear else 0.0)
 
 
 @compiled

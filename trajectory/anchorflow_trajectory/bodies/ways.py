@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
-from anchorflow_trajectory.bodies.curves import KEPT, LAST, basis_for, fitted
+from anchorflow_trajectory.bodies.curves import KEPT, LAST, basis_for, fitted, slid
 from anchorflow_trajectory.bodies.motion import COLUMNS, tabulate
 from anchorflow_trajectory.bodies.scene import BodyScene
 from anchorflow_trajectory.bodies.search import Guide, find_way, guide_along
 from anchorflow_trajectory.bodies.shots import Target
-from anchorflow_trajectory.bodies.wheels import TURNING, moves_of
+from anchorflow_trajectory.bodies.wheels import BACKWARD, SLIDING, TURNING, moves_of
 from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
 
@@ -28,7 +28,6 @@ TRIES = ((0.035, 1.0, 1.12), (0.015, 1.0, 1.12), (0.013, 0.5, 1.02))
 """Margins [m] about the outline that a search keeps, its cell in shares of the usual one, and a
 factor on the tightest turn: bends of a spline are tighter than those of what it follows."""
 MOST_WAYS, MOST_POSES, FEWER_POSES = 4, 5000, 500  # tried; poses of the first's search and others'
-BRAKING = 0.7  # share of a_max
 FINE = 8  # rows of a span
 
 
@@ -50,8 +49,16 @@ class Stretch:
             return FINE
         return FINE * (self.basis.num_control_points - DEGREE) + 1
 
+    @property
+    def course(self) -> float:
+        """The direction [rad] of the motion at its end."""
+        if self.gear == SLIDING:
+            x, y = self.control[-1, :2] - self.control[-2, :2]
+            return float(np.arctan2(y, x))
+        return float(self.poses[-1, 2]) + np.pi * (self.gear == BACKWARD)
+
     def tables(self, controls: FloatArray | None, count: int) -> NDArray[np.float64]:
-        """Return tables [N, R, 6] of its curves [N, K, 2]."""
+        """Return tables [N, R, 8] of its curves [N, K, D]."""
         if self.basis is None or controls is None:
             rows = np.zeros((FINE, COLUMNS))
             share = np.linspace(0.0, 1.0, FINE)[:, None]
@@ -100,7 +107,7 @@ class WaySearch:
         self, route: Route, margin: float, cell: float, spare: float, most: int
     ) -> NDArray[np.float64]:
         """Return a way [P, 4] along a route, or an empty one."""
-        scene, start = self.problem.scene, self.problem.start
+        scene, lead = self.problem.scene, self.problem.lead
         outline = self.problem.body.outline.grown(margin)
         motion = scene.motion
         origin = np.asarray(scene.origin, np.float64)
@@ -127,13 +134,15 @@ class WaySearch:
             cell,
             Guide(left, float(origin[0]), float(origin[1]), fine),
             np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
-            start,
+            lead[-1],
             self.problem.first_gear,
-            0.5 * self.problem.first_speed**2 / (BRAKING * motion.a_max),
+            0.0 if len(lead) > 1 else self.problem.braking,
             Target(self.problem.goal, self.problem.heading_counts),
             most,
         )
-        return way
+        if len(lead) < 2 or not len(way):
+            return way
+        return np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way])
 
     def _different(self, ways: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return the ways that differ in the sides or gears they take, the shortest first."""
@@ -161,6 +170,10 @@ class WaySearch:
         points = points[np.append(True, np.hypot(*legs.T) > 1e-6)]
         if len(points) < 2:
             points = np.stack([points[0], points[0] + 1e-3])
+        if self.problem.body.wheels.slides:
+            way = np.full((len(points), 4), float(SLIDING))
+            way[:, :2], way[:, 2] = points, self.problem.start[2]
+            return way
         heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
         turn = (heading[0] - self.problem.start[2] + np.pi) % (2.0 * np.pi) - np.pi
         heading += self.problem.start[2] + turn - heading[0]
@@ -190,8 +203,12 @@ class WaySearch:
             length = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
             basis = basis_for(length, self.problem.cell)
             bend = self.problem.first_bend if k == 0 and self.problem.moves else None
-            control = fitted(poses, basis, gear, fixed_end=fixed_end, bend=bend)
-            held = KEPT + (bend is not None)
-            last = LAST if fixed_end else 1
+            if gear == SLIDING:
+                first = None if bend is None else np.append(self.problem.scene.x_curr[3:5], bend)
+                control = slid(poses, basis, first)
+                held, last = 1 + KEPT * (first is not None), 1
+            else:
+                control = fitted(poses, basis, gear, fixed_end=fixed_end, bend=bend)
+                held, last = KEPT + (bend is not None), LAST if fixed_end else 1
             stretches.append(Stretch(gear, poses, basis, control, held, last))
         return stretches

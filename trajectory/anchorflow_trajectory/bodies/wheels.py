@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-FORWARD, BACKWARD, TURNING, STANDING = 1, -1, 0, 2
-"""Gears; a robot that stands may take any."""
+FORWARD, BACKWARD, TURNING, STANDING, SLIDING = 1, -1, 0, 2, 3
+"""Gears; a robot that stands may take any, and one that slides drives any way at any heading."""
 STEP = 1.8  # cells of a search that a short motion covers
 LOOKS = 3  # poses of a short motion at which it is tested
 SOFT_TURN, HARD_TURN = 0.17, 0.36  # rad of heading in a short motion
@@ -17,6 +17,7 @@ BIN = 0.06  # rad, within which headings count as one: less than turns differ by
 STOP = 0.4  # s that a stop costs beside the time to brake and to speed up
 BACKWARDS = 1.5  # times what a way costs forwards
 BEND = 0.04  # of its length that a bend of one rad costs more
+SLIDES = 8  # directions in which a robot slides
 
 
 @dataclass(frozen=True)
@@ -25,12 +26,14 @@ class Wheels:
 
     omega_max: rad/s; min_radius: m of the tightest turn while driving, 0 if it has none
     reverse: whether it may drive backwards; spot: whether it can turn on the spot
+    slides: whether it drives any way, whatever its heading
     """
 
     omega_max: float
     min_radius: float = 0.0
     reverse: bool = False
     spot: bool = True
+    slides: bool = False
 
 
 class Moves(NamedTuple):
@@ -51,6 +54,7 @@ class Moves(NamedTuple):
     radius: float
     reverse: bool
     spot: bool
+    slides: bool
     bins: int
 
 
@@ -68,7 +72,14 @@ def moves_of(
         softest = min(softest, 0.5 * hardest)
     found: list[tuple[NDArray[np.float64], int, float, float]] = []
     shares = np.arange(1, LOOKS + 1) / LOOKS
-    for gear in (FORWARD, BACKWARD) if wheels.reverse else (FORWARD,):
+    if wheels.slides:
+        found += [
+            _slide(step * shares, 2.0 * np.pi * k / SLIDES, turn)
+            for k in range(SLIDES)
+            for turn in (0.0, SOFT_TURN, -SOFT_TURN)
+        ]
+    driven = (FORWARD, BACKWARD) if wheels.reverse else (FORWARD,)
+    for gear in () if wheels.slides else driven:
         for bend in (0.0, softest, -softest, hardest, -hardest):
             way = gear * step * shares
             cost = step * (BACKWARDS if gear == BACKWARD else 1.0) + BEND * abs(bend) * step
@@ -89,8 +100,18 @@ def moves_of(
         radius,
         wheels.reverse,
         wheels.spot,
+        wheels.slides,
         round(2.0 * np.pi / BIN),
     )
+
+
+def _slide(
+    way: NDArray[np.float64], along: float, turn: float
+) -> tuple[NDArray[np.float64], int, float, float]:
+    """Return the poses [K, 3] of a slide in a direction, its gear, length [m] and cost [m]."""
+    step = float(way[-1])
+    poses = np.stack([way * np.cos(along), way * np.sin(along), turn * way / step], 1)
+    return poses, SLIDING, step, step + BEND * abs(turn)
 
 
 def arc(way: NDArray[np.float64], bend: float) -> NDArray[np.float64]:

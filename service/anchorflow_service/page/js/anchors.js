@@ -85,11 +85,13 @@ export class Anchors {
     return { x: this.positions[2 * at], y: this.positions[2 * at + 1], heading: this.headings[at] };
   }
 
-  /** 1 forwards, -1 backwards, 0 on the spot or at rest: what anchor n does at time step t. */
+  /** 1 forwards or sideways, -1 backwards, 0 on the spot or at rest: anchor n at time step t. */
   gear(n, t) {
     const at = n * this.steps + t;
     const along = this.velocities[2 * at] * Math.cos(this.headings[at]) + this.velocities[2 * at + 1] * Math.sin(this.headings[at]);
-    return Math.abs(along) < RESTING ? 0 : Math.sign(along);
+    const speed = Math.hypot(this.velocities[2 * at], this.velocities[2 * at + 1]);
+    if (speed < RESTING) return 0;
+    return along < -Math.SQRT1_2 * speed ? -1 : 1;
   }
 
   /** "4.2 to 9.1 s" over the safe anchors, or over all if none is; "8.0 s" if they are alike. */
