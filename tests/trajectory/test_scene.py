@@ -10,6 +10,7 @@ from anchorflow_trajectory.cost import clearance
 from anchorflow_trajectory.cost.fields import soft_cost
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
 from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
 from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, share_within
 
@@ -140,6 +141,19 @@ def test_a_slower_robot_sees_the_same_routes_for_longer(scene: Scene) -> None:
     longer = slow.route_states - scene.route_states
     np.testing.assert_allclose(longer[..., :-1], 0.0, atol=1e-4)
     np.testing.assert_allclose(longer[..., -1], np.log(2.0), atol=1e-5)
+
+
+def test_what_moves_makes_a_narrow_gap_worth_a_detour(scene: Scene) -> None:
+    occupancy = scene.cost_map.copy()
+    occupancy[0, 10:15, 18:21] = 0.0  # 0.5 m wide; the robot 0.3 m
+    start, goal = np.array([1.5, 3.6, 0, 0, 0, 0]), np.array([4.5, 3.6, 0, 0])
+    narrow = replace(scene, cost_map=occupancy, robot_radius=0.15, x_curr=start, x_goal=goal)
+    aside = MovingDiscs.of(np.array([[9.0, 9.0]]), np.zeros((1, 2)), np.array([0.1]))
+    through, past = narrow.routes[0], replace(narrow, movers=aside).routes[0]
+    assert through.length < 3.2 < past.length
+
+    hurried = replace(narrow.motion, horizon_s=2.0)  # in which the detour cannot be driven
+    assert replace(narrow, movers=aside, motion=hurried).routes[0].length < 3.2
 
 
 def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:

@@ -64,6 +64,7 @@ BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
 FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
 MOST_CELLS = 512  # a side of a map whose cells were cut
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
+DETOUR = 1.5  # times a tight route that a roomy one may be long
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
@@ -164,7 +165,23 @@ class Scene:
         found = self._found_routes(SLACK + margin)
         if not found and margin > 0.0:  # none can be certified: `safe` says so
             found, margin = self._found_routes(SLACK), 0.0
+        if found and self.movers is not None and self.occupied.any():
+            found = self._roomy_routes(found, SLACK + margin) or found
         return self._pulled_tight(found, slack=CHORD_SLACK + margin)
+
+    def _roomy_routes(self, tight: list[Route], slack: float) -> list[Route]:
+        """Return routes that keep a cell more than tight ones, if they are hardly longer.
+
+        A gap that is open by less may be closed on the next map, a fraction of a cell further on,
+        and who has to turn round among what moves is late.
+        """
+        roomy = self._found_routes(slack + self.resolution)
+        most, horizon = DETOUR * tight[0].length, self.motion.horizon_s
+        if horizon is not None:
+            dim = len(self.x_goal) // 2
+            speeds = (np.linalg.norm(x[dim : dim + 2]) for x in (self.x_curr, self.x_goal))
+            most = min(most, self.motion.most_way(horizon, *map(float, speeds)))
+        return [route for route in roomy if route.length <= most]
 
     def routes_with(self, slack: float) -> list[Route]:
         """Return the routes that keep `slack` m beyond robot_radius, if any."""
