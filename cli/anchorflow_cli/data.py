@@ -8,6 +8,7 @@ from anchorflow_cli.options import command_app
 COMMANDS = {
     "make": LazyCommand("data_scenes:make", "Draw random scenes and let the expert solve them."),
     "import": LazyCommand("data_scenes:import_file", "Turn your own trajectories into a dataset."),
+    "synthetic": LazyCommand("data_scenes:synthetic", "Draw smooth random trajectories."),
     "inspect": LazyCommand("data_scenes:inspect", "Print shapes and ranges; draw some scenes."),
     "from-poses": LazyCommand("data_scenes:from_poses", "Cut trajectories from recorded poses."),
     "drive": LazyCommand("data_driving:drive", "Simulate traffic with SUMO into driving logs."),

@@ -1,4 +1,4 @@
-"""`anchorflow data make`, `import`, `inspect` and `from-poses`: datasets of scenes."""
+"""`anchorflow data make`, `import`, `synthetic`, `inspect` and `from-poses`: datasets of scenes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.console import Console
 from rich.progress import Progress
@@ -14,7 +15,7 @@ from rich.table import Table
 
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import new_file, new_folder, picture_option
-from anchorflow_training.data import TrajectoryDataset
+from anchorflow_training.data import SyntheticTrajectoryDataset, TrajectoryDataset
 from anchorflow_training.data.array_layout import TimeStepUnknown
 from anchorflow_training.data.inspection import (
     Summary,
@@ -24,6 +25,7 @@ from anchorflow_training.data.inspection import (
 )
 from anchorflow_training.data.poses import CutConfig, cut_trajectories, read_poses
 from anchorflow_training.data.scene_import import ImportConfig, SceneOptions, import_scenes
+from anchorflow_training.data.synthetic import KINDS
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.make_data import DataConfig, make_dataset
 from anchorflow_training.v2x.dataset import refuse_pairs
@@ -126,6 +128,24 @@ def import_file(
         typer.echo("quality: what each sample counts in the loss")
     if meta["not_finite_rows"]:
         typer.echo(f"rows that are not finite: {', '.join(map(str, meta['not_finite_rows']))}")
+
+
+def synthetic(
+    out: Annotated[Path, typer.Argument(parser=new_file, help="File to write, .npz.")],
+    *,
+    kind: Annotated[str, typer.Option(help=f"One of {', '.join(KINDS)}.")] = "bezier",
+    count: Annotated[int, typer.Option(min=1, help="How many.")] = 1000,
+    num_steps: Annotated[int, typer.Option(min=3, help="T.")] = 64,
+    dim: Annotated[int, typer.Option(min=2, max=3, help="3: with heading.")] = 2,
+    horizon_s: Annotated[float, typer.Option(help="That each lasts [s].")] = 8.0,
+    seed: Annotated[int, typer.Option(min=0, help="Same seed, same numbers.")] = 0,
+) -> None:
+    """Draw smooth random trajectories without obstacles into a file that `import` reads."""
+    drawn = SyntheticTrajectoryDataset(
+        kind, count, num_steps=num_steps, dim=dim, horizon_s=horizon_s, seed=seed
+    )
+    np.savez(out, horizon_s=horizon_s, **drawn.read(slice(None)))
+    typer.echo(f"{out}: {count} trajectories, T {num_steps}, D {dim}")
 
 
 def inspect(

@@ -35,6 +35,21 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "my.npz"
 
 
+def test_synthetic_trajectories_are_a_file_to_import(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = tmp_path / "toy.npz"
+    made("synthetic", file, "--kind", "sine", "--count", 6, "--num-steps", 20, "--seed", 3)
+    assert "6 trajectories, T 20, D 2" in capsys.readouterr().out
+    drawn = SyntheticTrajectoryDataset("sine", 6, num_steps=20, seed=3).read(slice(None))
+    np.testing.assert_array_equal(np.load(file)["positions"], drawn["positions"])
+    made("import", file, tmp_path / "d")
+    assert "6 scenes, T 20, D 2" in capsys.readouterr().out
+    assert "kind: expected one of bezier, polynomial, sine, got 'zigzag'" in refused(
+        "synthetic", tmp_path / "other.npz", "--kind", "zigzag"
+    )
+
+
 def test_import_and_inspect(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     out = tmp_path / "d"
     made("import", file, out, "--horizon-s", 8, "--a-max", 3, "--robot-radius", 0.4)
