@@ -106,7 +106,7 @@ class BodyScene:
         return abs(self.first_speed) > MOVING
 
     @property
-    def lead(self) -> NDArray[np.float64]:
+    def lead(self) -> FloatArray:
         """[P, 3], poses that the robot keeps to at the start: who slides may brake on its course.
 
         Beyond braking the law looks ahead by half a window, and a spline rounds the corner.
