@@ -144,7 +144,8 @@ def synthetic(
     drawn = SyntheticTrajectoryDataset(
         kind, count, num_steps=num_steps, dim=dim, horizon_s=horizon_s, seed=seed
     )
-    np.savez(out, horizon_s=horizon_s, **drawn.read(slice(None)))
+    arrays = {"horizon_s": np.float64(horizon_s), **drawn.read(slice(None))}
+    np.savez(out, **arrays)  # type: ignore[arg-type]
     typer.echo(f"{out}: {count} trajectories, T {num_steps}, D {dim}")
 
 

@@ -178,7 +178,7 @@ def street_request(layout: BevLayout, card: ModelCard, sizes: Sizes, seed: int) 
         goals = torch.rand(B, sizes.get("G", 3), 2, generator=generator)
         inputs["goal"] = told[..., None] * (goals * torch.tensor([60.0, 20.0]) - 10.0)
     if "score_weights" in own:
-        drawn = 10 * torch.rand(B, *own["score_weights"].shape[1:], generator=generator)
+        drawn = 10 * torch.rand(B, int(own["score_weights"].shape[1]), generator=generator)
         inputs["score_weights"] = told * drawn
     return _request(inputs)
 

@@ -12,6 +12,7 @@ or SETTLED), and the acceleration and curvature of the way that it began on.
 from __future__ import annotations
 
 from dataclasses import astuple, fields
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -359,7 +360,8 @@ class GoalFlow(nn.Module):
         """Return the weights of scores: those of a request, [B, 1] each, or the configuration's."""
         if "weights" not in context:
             return self.config.score
-        return ScoreWeights(*context["weights"][..., None].clamp(min=LEAST_WEIGHT).unbind(1))
+        told = context["weights"][..., None].clamp(min=LEAST_WEIGHT).unbind(1)
+        return ScoreWeights(*cast(Any, told))  # tensors where a configuration has numbers
 
     def told(self, judged: Judged, context: Context) -> Tensor:
         """Return the features [B, N, F] that outcomes are learnt from."""
