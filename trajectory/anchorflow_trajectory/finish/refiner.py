@@ -32,7 +32,8 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 # Anchors that are not safe get a further pass each: all of them once, then those of routes that
 # have no safe anchor yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15)
-FURTHER_STEPS = 40  # of such a pass where something moves; elsewhere those of the first pass
+# Where something moves such a pass is long, and it is for the first of those that are not safe.
+FURTHER_STEPS, FURTHER_MOST = 50, 32
 STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
 # A route that still has no safe anchor gets new starts and longer passes, first on this basis, then
@@ -254,12 +255,12 @@ class Refiner:
         first = OptimisationPass(self.steps, self.rate, shares=HURRIED)
         splines, safe = self._optimised(first, cost, splines, certified, barrier)
         helped = ~safe
-        steps = self.steps if scene.movers is None else FURTHER_STEPS
+        steps, most = (self.steps, None) if scene.movers is None else (FURTHER_STEPS, FURTHER_MOST)
         for rate in FURTHER_RATES:
             if not helped.any():
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
-            failed = np.flatnonzero(helped)
+            failed = np.flatnonzero(helped)[:most]
             slowly = OptimisationPass(steps, rate, slowed_before=True, slowed_after=True)
             tried, gained = self._optimised(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
