@@ -169,9 +169,19 @@ def test_an_omni_robot_slides(
         np.testing.assert_allclose(anchors.trajectories[:, t], [wanted] * 24, atol=1e-3)
     np.testing.assert_allclose(anchors.velocities[:, 0], [velocity] * 24, atol=0.02)
     assert np.abs(sideways(anchors.trajectories, anchors.velocities)).max(1).min() > 0.3
-    if not any(velocity):
+    if occupied is BAY:
         wheels = asked(engine, occupied, start, goal, goal_tolerance=None)
         assert not wheels.safe.any()
+
+
+def test_a_slide_has_no_spikes_that_take_minutes(engine: Engine) -> None:
+    occupied = walls((-2.75, 2.75, 0.0, 2.5), (-0.65, 0.65, -1.1, 0.1))
+    anchors = asked(
+        engine, occupied, (-1.5, 0.8, 0.0), (0.0, -0.5, 0.0), kinematics={"kind": "omni"},
+        goal_tolerance=None, num_samples=64, v_max=2.0, a_max=3.0,
+    )  # fmt: skip
+    assert anchors.safe.all()
+    assert anchors.durations.max() < 15.0
 
 
 def test_a_robot_that_moves_goes_on_as_it_moves(engine: Engine) -> None:

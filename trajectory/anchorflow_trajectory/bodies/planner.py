@@ -25,6 +25,7 @@ WIDE, LEAST_MARGIN, MOST_MARGIN = 0.18, 0.04, 0.3  # m: noise of anchors, and ro
 ROOM, BEND, SOFT, EVEN, SHORT, RATE = 30.0, 1.0, 1.0, 2.0, 0.1, 0.25
 """Weights of a descent, and its first step in cells."""
 AIMED, ALLOWED = 0.96, 1.02  # of the tightest turn's curvature
+SHARPEST = 30.0  # 1/m, of the course of who slides: a corner, and no spike of a curve
 EASY_TURN = 0.5  # share of v_max at which bends are driven at omega_max
 SHARES = (1.0, 0.5)  # of an anchor's own shape, tried until it is safe
 EASED_S = 1.5  # s from the start, in which shapes begin to differ
@@ -148,6 +149,8 @@ class BodyPlanner:
         grown = outline.grown(BETWEEN + certified)
         clear = 0.5 * RIM + BETWEEN + certified + CLOSE + self.problem.scene.resolution
         most_bend = ALLOWED / wheels.min_radius if wheels.min_radius > 0.0 else np.inf
+        if wheels.slides:
+            most_bend = SHARPEST
         number = max(len(each) for each in controls)
         rows = [s.tables(c, number) for s, c in zip(line.way, controls, strict=True)]
         table = np.concatenate(rows, axis=1)

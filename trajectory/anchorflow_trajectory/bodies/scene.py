@@ -113,7 +113,7 @@ class BodyScene:
         """
         if not (self.moves and self.body.wheels.slides):
             return self.start[None]
-        rates = np.asarray(self.scene.x_curr[3:6], np.float64) / self.first_speed
+        rates = self.scene.x_curr[3:6] / self.first_speed
         length = self.braking + 0.5 * self.limits.window * self.limits.v_max + 2.0 * self.cell
         way = np.linspace(0.0, length, 2 + int(length / self.cell))
         return self.start + way[:, None] * rates

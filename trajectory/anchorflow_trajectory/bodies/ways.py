@@ -142,7 +142,7 @@ class WaySearch:
         )
         if len(lead) < 2 or not len(way):
             return way
-        return np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way])
+        return np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way], dtype=np.float64)
 
     def _different(self, ways: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return the ways that differ in the sides or gears they take, the shortest first."""
