@@ -174,16 +174,6 @@ def test_an_omni_robot_slides(
         assert not wheels.safe.any()
 
 
-def test_a_slide_has_no_spikes_that_take_minutes(engine: Engine) -> None:
-    occupied = walls((-2.75, 2.75, 0.0, 2.5), (-0.65, 0.65, -1.1, 0.1))
-    anchors = asked(
-        engine, occupied, (-1.5, 0.8, 0.0), (0.0, -0.5, 0.0), kinematics={"kind": "omni"},
-        goal_tolerance=None, num_samples=64, v_max=2.0, a_max=3.0,
-    )  # fmt: skip
-    assert anchors.safe.all()
-    assert anchors.durations.max() < 15.0
-
-
 def test_a_robot_that_moves_goes_on_as_it_moves(engine: Engine) -> None:
     speed, turn = 0.6, 0.3
     state = [-2.0, 0.0, 0.2, speed * np.cos(0.2), speed * np.sin(0.2), turn, 0.0, 0.0, 0.0]

@@ -100,7 +100,7 @@ def slid(points: FloatArray, basis: SplineBasis, first: FloatArray | None) -> ND
 
 
 def _free_points(
-    control: FloatArray, wanted: FloatArray, basis: SplineBasis, free: slice
+    control: NDArray[np.float64], wanted: FloatArray, basis: SplineBasis, free: slice
 ) -> NDArray[np.float64]:
     """Return control points [K, D] with the free ones fitted to samples [S, D], smoothly."""
     matrix, spans = basis.position.astype(np.float64), basis.num_control_points - DEGREE
