@@ -92,8 +92,9 @@ def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
     made = export_once("goalflow", factory)
     assert max(difference.error for difference in made.differences) < 1e-4
     options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
-    extras, steps = ("goals", "goal_scores"), GOALFLOW.num_steps
-    return Planner(made.path, goalflow_scene, extras, "ode", steps, "guard", ("route",), options)
+    extras, steps = ("goals", "goal_scores", "trajectory_goals"), GOALFLOW.num_steps
+    optional = ("route", "goal", "score_weights")
+    return Planner(made.path, goalflow_scene, extras, "ode", steps, "guard", optional, options)
 
 
 def wote_planner(factory: pytest.TempPathFactory) -> Planner:
