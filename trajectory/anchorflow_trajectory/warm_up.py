@@ -151,7 +151,7 @@ def _run_poses() -> None:
     scene = replace(scene, x_curr=state, x_goal=np.array([5.6, 3.2, 0.3, *[0.0] * 3]))
     body = Body(Outline.disc(0.25), Wheels(2.0, min_radius=0.5, reverse=True))
 
-    def run(work: Sequence[Callable[[], None]]) -> None:
+    def run(work: Sequence[Callable[[], object]]) -> None:
         for each in work:
             each()
 
