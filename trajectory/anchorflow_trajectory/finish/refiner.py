@@ -32,7 +32,8 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 # Anchors that are not safe get a further pass each: all of them once, then those of routes that
 # have no safe anchor yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15)
-# Where something moves such a pass is long, and it is for the first of those that are not safe.
+# Where something moves among walls such a pass is long, and it is for the first of those that are
+# not safe. In the open it led to narrower passes by people and to more collisions.
 FURTHER_STEPS, FURTHER_MOST = 50, 32
 STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
@@ -255,7 +256,9 @@ class Refiner:
         first = OptimisationPass(self.steps, self.rate, shares=HURRIED)
         splines, safe = self._optimised(first, cost, splines, certified, barrier)
         helped = ~safe
-        steps, most = (self.steps, None) if scene.movers is None else (FURTHER_STEPS, FURTHER_MOST)
+        steps, most = self.steps, None
+        if scene.movers is not None and scene.occupied.any():
+            steps, most = FURTHER_STEPS, FURTHER_MOST
         for rate in FURTHER_RATES:
             if not helped.any():
                 break
