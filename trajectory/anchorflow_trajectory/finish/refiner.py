@@ -33,7 +33,7 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 # have no safe anchor yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15)
 # Where something moves among walls such a pass is long, and it is for the first of those that are
-# not safe. In the open it led to narrower passes by people and to more collisions.
+# not safe. In the open, with people alone, more robots collided with long passes.
 FURTHER_STEPS, FURTHER_MOST = 50, 32
 STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
