@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import time
 from typing import Any
 
 import numba
@@ -35,3 +37,14 @@ def test_a_stage_that_there_is_not_is_refused() -> None:
         SystemExit, match="expected stages of still, moving, poses, guard, got walking"
     ):
         warm_up.main(["walking"])
+
+
+@pytest.mark.parametrize("after_s", [0.01, 0.02, 0.04, 0.08])
+def test_a_compiler_ends_at_ctrl_c_without_a_word(
+    after_s: float, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with warm_up.compiler("moving") as process:
+        time.sleep(after_s)
+        process.send_signal(signal.SIGINT)
+    assert process.returncode == -signal.SIGINT
+    assert capfd.readouterr().err == ""

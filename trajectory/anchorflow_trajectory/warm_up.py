@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -59,10 +60,12 @@ except ImportError:  # Windows
 
 logger = logging.getLogger(__name__)
 
-# Ctrl-C ends it without a traceback, wherever it is.
+CAN_MASK = hasattr(signal, "pthread_sigmask")  # not on Windows
+# Ctrl-C ends it without a traceback: it starts with SIGINT blocked, see `_started`.
 PROGRAM = (
     "import signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL);"
-    "from anchorflow_trajectory.warm_up import main; main(sys.argv[1:])"
+    + CAN_MASK * "signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT]);"
+    + "from anchorflow_trajectory.warm_up import main; main(sys.argv[1:])"
 )
 STILL, MOVING, POSES, GUARD = STAGES = ("still", "moving", "poses", "guard")
 USUAL_S = {STILL: 40, MOVING: 40, POSES: 30, GUARD: 10}  # on two cores
@@ -100,7 +103,7 @@ def compile_loops(*stages: str) -> None:
 
 def compiler(stage: str) -> subprocess.Popen[bytes]:
     """Start a niced process that compiles a stage and what it needs."""
-    return subprocess.Popen([sys.executable, "-c", PROGRAM, NICED, stage])
+    return _started(NICED, stage)
 
 
 def is_kept(stage: str) -> bool:
@@ -193,9 +196,20 @@ def _descent_beside(stage: str) -> subprocess.Popen[bytes] | None:
     if code_folder() is None or usable_cores() < 2:
         return None
     try:
-        return subprocess.Popen([sys.executable, "-c", PROGRAM, DESCENT, stage])
+        return _started(DESCENT, stage)
     except OSError:  # the descent is compiled here then
         return None
+
+
+def _started(*arguments: str) -> subprocess.Popen[bytes]:
+    """Start the program; a Ctrl-C while Python starts waits until it can end without a word."""
+    if not CAN_MASK:
+        return subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments])
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        return subprocess.Popen([sys.executable, "-c", PROGRAM, *arguments])
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _scene(stage: str) -> Scene:
