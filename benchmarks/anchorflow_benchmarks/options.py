@@ -54,6 +54,16 @@ Guarded = Annotated[
     bool,
     typer.Option("--guarded", help="Each bundle drives twice: then with its guard."),
 ]
+Late = Annotated[
+    list[int] | None,
+    typer.Option(
+        "--late-ms",
+        help="Each driver drives again with plans that arrive so late; repeatable.",
+        show_default="never",
+        min=0,
+        max=450,
+    ),
+]
 Record = Annotated[
     bool, typer.Option("--record", help="Put each bundle's figures into its manifest.")
 ]

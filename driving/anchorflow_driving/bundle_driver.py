@@ -117,6 +117,20 @@ class BundleDriver:
         other.name = f"{self.name}_guarded"
         return other
 
+    def late(self, delay_s: float) -> BundleDriver:
+        """Return this driver with plans that begin `delay_s` after what it sees.
+
+        If the window knows what the car does until then, as a live one does, the planner is told.
+        """
+        other = copy(self)
+        other._options = {**self._options, "delay_s": delay_s}
+        return other
+
+    @property
+    def delay_s(self) -> float:
+        """s from what it sees to the time from which its poses are counted."""
+        return self._options.get("delay_s", 0.0)
+
     def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
         """Return the best proposal [T, 3]; NaN at times (s) other than PLAN_TIMES."""
         proposals = self.propose(window)
@@ -131,7 +145,10 @@ class BundleDriver:
         specs = [*self._inputs, *self._route] if self._follows_route else self._inputs
         inputs = draw_inputs(window.view, specs)
         drawing_ms = 1e3 * (perf_counter() - started)
-        answer = self._client.plan(inputs=inputs, outputs=self._outputs, **self._options)
+        last_plan = window.meanwhile if self.delay_s else None
+        answer = self._client.plan(
+            inputs=inputs, outputs=self._outputs, last_plan=last_plan, **self._options
+        )
         chooses_by_route = self._follows_route and not self._route
         return WindowProposals(
             trajectories=np.asarray(answer.trajectories, np.float64),

@@ -119,7 +119,12 @@ class Scenes:
 
 
 class Window:
-    """A window with its recorded future: what a judge knows. A planner gets `view`."""
+    """A window with its recorded future: what a judge knows. A planner gets `view`.
+
+    meanwhile: [K, 4] s, x, y, heading of what the ego is about to do, in its frame; None: unknown
+    """
+
+    meanwhile: Array | None = None
 
     def __init__(self, scenes: Scenes, index: int) -> None:
         log = scenes.log
@@ -146,9 +151,16 @@ class Window:
         """Return the route in the log's frame."""
         return Route(self.log.route(self.index))
 
+    def before(self, seconds: float) -> Window:
+        """Return the window as it was some time ago, with the route and command of now."""
+        earlier = Window(self._scenes, self.index)
+        earlier.frame -= round(seconds / FRAME_S)
+        return earlier
+
     @cached_property
     def view(self) -> PlannerView:
-        seen = slice(self.frame - HISTORY_FRAMES, self.frame + 1)
+        """Return what a planner sees; a log that begins within its past stands still before."""
+        seen = np.arange(self.frame - HISTORY_FRAMES, self.frame + 1).clip(0)
         return planner_view(
             self.log.track_state[:, seen].astype(np.float64),
             ego=self.ego,

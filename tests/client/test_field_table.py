@@ -25,7 +25,7 @@ from anchorflow_client.contract.fields import REQUEST
 
 PLACE = {"resolution", "origin", "channel_weights"}
 """The place of a map that is given as an array."""
-NOT_OF_UPDATE = {"request_id", "inputs"}
+NOT_OF_UPDATE = {"request_id", "inputs", "delay_s", "last_plan"}
 """The planner gives its requests their ids, and plans on maps alone."""
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import fmean, median
@@ -19,6 +20,7 @@ from anchorflow_benchmarks.driving.open_loop import named_drivers, open_drivers
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.drivers import DRIVERS, Driver
+from anchorflow_driving.late_driver import late_drivers
 from anchorflow_driving.log import DrivingLog, write_log
 from anchorflow_driving.simulation.closed_loop import ClosedLoopConfig, RouteResult, drive_route
 
@@ -98,6 +100,7 @@ def drive_closed_loop(
     ] = ",".join(BASELINES),
     bundle: options.DrivingBundles = None,
     along_route: options.AlongRoute = False,
+    late_ms: options.Late = None,
     num: options.Num = 64,
     threads: options.Threads = None,
     routes: Annotated[int, typer.Option(min=1, help="How many, each on a net of its own.")] = 20,
@@ -118,7 +121,16 @@ def drive_closed_loop(
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     config = ClosedLoopConfig(seed=seed, length_m=length, seconds=seconds)
-    with progress("driving", routes * len(chosen)) as advance:
-        driven = drive_routes(chosen, config, routes=routes, keep=keep, progress=advance)
+    driven: dict[str, list[RouteResult]] = {}
+    delays = [1e-3 * ms for ms in late_ms or [0]]
+    with progress("driving", routes * len(chosen) * len(delays)) as advance:
+        for delay_s in delays:
+            late = {
+                each: driver
+                for name, alone in chosen.items()
+                for each, driver in late_drivers(alone, name, delay_s).items()
+            }
+            own = replace(config, delay_s=delay_s)
+            driven |= drive_routes(late, own, routes=routes, keep=keep, progress=advance)
     about = {"traffic": f"SUMO, seed {seed}, right-hand, no traffic lights"}
     report("Drive closed loop", about, [routes_table(driven, config)], out)

@@ -33,6 +33,7 @@ from anchorflow_driving.drivers import (
     collides,
 )
 from anchorflow_driving.geometry import out_of_frame
+from anchorflow_driving.late_driver import LateDriver, late_drivers
 from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog, read_logs
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
 from anchorflow_driving.window import Scenes, Window
@@ -123,6 +124,15 @@ def named_drivers(names: Sequence[str], among: Mapping[str, Any] = ENTRIES) -> d
         if name not in among:
             raise BenchmarkError(f"expected drivers among {', '.join(among)}, got {name!r}")
     return {name: among[name] for name in names}
+
+
+def _late(driver: Driver, name: str, late_ms: Sequence[int]) -> dict[str, Entry]:
+    return {
+        each: Entry(LateDriver(late, 1e-3 * ms))
+        for ms in late_ms
+        if ms
+        for each, late in late_drivers(driver, name, 1e-3 * ms).items()
+    }
 
 
 def judge_drivers(
@@ -251,7 +261,7 @@ def _goal_figures(window: Window, proposals: WindowProposals) -> dict[str, float
 
 def _waypoints(driver: Driver | BundleDriver, window: Window) -> Array | None:
     """Return [45, 2] of a driver that plans 4.5 s."""
-    if isinstance(driver, BundleDriver):
+    if isinstance(driver, BundleDriver | LateDriver):
         return None
     waypoints = driver(window, WAYPOINT_TIMES)[:, :2]
     return waypoints if np.isfinite(waypoints).all() else None
@@ -343,6 +353,7 @@ def drive(
     bundle: options.DrivingBundles = None,
     along_route: options.AlongRoute = False,
     guarded: options.Guarded = False,
+    late_ms: options.Late = None,
     num: options.Num = 64,
     samplers: options.Samplers = CARD,
     seeds: Annotated[
@@ -367,6 +378,9 @@ def drive(
         ways += [way.guarded() for way in ways] if guarded else []
         seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
+    for name, entry in list(chosen.items()):
+        if late_ms and entry.times is PLAN_TIMES and name != "human":
+            chosen |= _late(entry.driver, name, late_ms)
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)

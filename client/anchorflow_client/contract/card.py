@@ -187,7 +187,7 @@ class TruncatedDiffusionSpec:
 @dataclass(frozen=True)
 class GuardSpec:
     """Anchors of a car are answered as they were sampled or, with `refine.guard`, judged by what
-    the planner perceives; the last of them is then a stop."""
+    the planner perceives; the last of them is then a stop. With `delay_s` they begin later."""
 
     horizon_s: float = field(metadata=ABOVE_0)
     """Seconds for which a safe anchor meets nothing; after them a stop on its path is possible."""

@@ -26,6 +26,7 @@ from anchorflow_client.contract.ranges import (
     CHANNEL_WEIGHT,
     COORDINATE,
     COST_PENALTY,
+    DELAY,
     GOAL_DISTANCE,
     GOAL_TURN,
     GUIDANCE,
@@ -53,6 +54,7 @@ from anchorflow_client.contract.rows import (
     Number,
     Row,
     Text,
+    TimedPoses,
     rows_of,
 )
 
@@ -89,6 +91,7 @@ MAX_CHANNELS = 16
 MIN_MAP_CELLS, MAX_MAP_CELLS = 16, 512
 """Least and most cells along a side of the map."""
 MAX_WARM_START_STEPS = 1024
+MAX_LAST_PLAN_STEPS = 256
 MAX_INPUT_TEXT_LENGTH = 64 * 1024
 """Characters of an input that is a text, such as a prompt."""
 MAX_PIXELS = 16 * 2**20
@@ -416,6 +419,27 @@ class RequestOptions(PlanOptions, total=False):
     inputs: Annotated[
         Mapping[str, Any] | None,
         Inputs("For planners without a cost map: what their card lists, by name."),
+    ]
+    delay_s: Annotated[
+        float | None,
+        Number(
+            "Of a car whose card's finish is of kind guard: time from its sensor data until it "
+            "follows the plan, which begins where it will be by then.",
+            DELAY,
+            default=0.0,
+        ),
+    ]
+    last_plan: Annotated[
+        ArrayLike | None,
+        TimedPoses(
+            "What the car does until delay_s: time [s] from its sensor data, x, y [m], heading "
+            "[rad]; by default it keeps its speed and yaw rate.",
+            "[K,4]",
+            ((2, MAX_LAST_PLAN_STEPS), (4, 4)),
+            COORDINATE,
+            unit="s, m, m, rad",
+            tensor="last_plan",
+        ),
     ]
     request_id: Annotated[str | None, Text("Echoed; by default the X-Request-Id header, or drawn.")]
 

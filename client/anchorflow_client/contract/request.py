@@ -92,6 +92,9 @@ class AnchorRequest:
     warm_start: WarmStart | None = None
     budget_ms: float | None = None
     robot_id: str | None = None
+    delay_s: float | None = None
+    last_plan: NDArray[np.float64] | None = None
+    """[K,4] time in s, x, y in m, heading in rad."""
     num_scenes: int = 1
     """B."""
     batched: bool = False

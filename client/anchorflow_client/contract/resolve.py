@@ -50,6 +50,7 @@ class ResolvedRequest(AnchorRequest):
     num_samples: int = field()
     cost_penalty: float = field()
     clear_start: bool = field()
+    delay_s: float = field()
     model: str = field()
     seed: int = field()
     sampler: SamplerSpec = field()  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -83,6 +84,7 @@ def resolve_for_card(request: AnchorRequest, card: ModelCard) -> ResolvedRequest
         if request.cost_penalty is None
         else request.cost_penalty,
         "clear_start": bool(request.clear_start),
+        "delay_s": _delay_s(request, card),
         "model": request.model or card.name,
         "seed": secrets.randbits(DRAWN_SEED_BITS) if request.seed is None else request.seed,
         "sampler": _sampler(request, card),
@@ -101,6 +103,10 @@ def _conditions(request: AnchorRequest, card: ModelCard) -> dict[str, Any]:
         return {"limits": limits, "warm_start": _warm_start(request.warm_start, limits)}
     _refuse_map_fields(request, card)
     inputs, num_scenes, batched = bind(request.inputs, card.inputs)
+    if request.last_plan is not None and num_scenes > 1:
+        raise InvalidRequest(
+            f"expected none with several scenes, got B = {num_scenes}", "last_plan"
+        )
     return {"inputs": inputs, "num_scenes": num_scenes, "batched": batched}
 
 
@@ -143,6 +149,24 @@ def _refuse_map_fields(request: AnchorRequest, card: ModelCard) -> None:
         if value is not None:
             names = ", ".join(f"inputs.{spec.name}" for spec in card.inputs)
             raise InvalidRequest(f"unknown to {card.name}, which is asked with {names}", name)
+
+
+def _delay_s(request: AnchorRequest, card: ModelCard) -> float:
+    """Return the delay of a plan, which planners of cars have; 0 without one."""
+    for name in ("delay_s", "last_plan"):
+        if getattr(request, name) is not None and not isinstance(card.finish, GuardSpec):
+            own = f"the finish of {card.name} is of kind {card.finish.kind!r}"
+            takes = f"only planners of cars whose finish is of kind {GuardSpec.kind!r} take it"
+            raise InvalidRequest(f"expected none, as {own}, and {takes}", name)
+    delay_s, plan = request.delay_s or 0.0, request.last_plan
+    if plan is None:
+        return delay_s
+    if request.delay_s is None:
+        raise InvalidRequest("this field is required beside last_plan", "delay_s")
+    if plan[-1, 0] < delay_s:
+        message = f"expected a last time of at least delay_s = {delay_s:g} s"
+        raise InvalidRequest(f"{message}, got {plan[-1, 0]:g} s", "last_plan")
+    return delay_s
 
 
 def _num_samples(request: AnchorRequest, sampler: SamplerSpec) -> int:

@@ -21,6 +21,7 @@ from anchorflow_client.contract.checks import (
     integer,
     number,
     numbers,
+    read_only,
     text,
     wrong_shape,
 )
@@ -132,6 +133,22 @@ class FlowTimes(Array):
             case dict():
                 fields_of(value, path, ("uniform",), ("uniform",))
         raise expected(path, '"8step", {"uniform": n} or a list of flow times', value)
+
+
+@dataclass(frozen=True)
+class TimedPoses(Array):
+    """Rows of time and pose, in the order of time."""
+
+    def read(self, value: Any, path: str) -> NDArray[np.float64]:
+        """Return the rows [K,4]."""
+        rows = numbers(value, path, self.interval, self.shape)
+        (least, most), (columns, _) = self.sizes
+        if rows.ndim != 2 or not least <= len(rows) <= most or rows.shape[1] != columns:
+            raise wrong_shape(path, f"{self.shape}, K from {least} to {most}", rows)
+        if (np.diff(rows[:, 0]) <= 0).any():
+            times = rows[:, 0].tolist()
+            raise InvalidRequest(f"expected strictly increasing times, got {times}", path)
+        return read_only(rows)
 
 
 def uniform_schedule(steps: int) -> tuple[float, ...]:

@@ -13,7 +13,8 @@ import numpy as np
 
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.errors import SimulationError
-from anchorflow_driving.geometry import Array
+from anchorflow_driving.geometry import Array, into_frame, out_of_frame
+from anchorflow_driving.late_driver import begins_s
 from anchorflow_driving.log import (
     FRAME_S,
     FUTURE_FRAMES,
@@ -35,6 +36,7 @@ from anchorflow_driving.simulation.driven import (
     comfortable_stretches,
     first_steps,
     joined,
+    rest_of,
     state_after,
 )
 from anchorflow_driving.simulation.road_net import RoadNet
@@ -62,12 +64,14 @@ class ClosedLoopConfig:
     """How routes are driven.
 
     length_m: of a route; seconds: after which it is given up; replan_s: between two plans
+    delay_s: from what a driver sees to its plan, which is driven from then on; less than replan_s
     """
 
     seed: int = 2000
     length_m: float = 300.0
     seconds: float = 90.0
     replan_s: float = 0.5
+    delay_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,10 @@ class RouteResult:
 class LiveWindow(Window):
     """The window of a live drive: it has a view and no recorded future."""
 
-    def __init__(self, view: PlannerView, scenes: Scenes) -> None:
+    def __init__(
+        self, view: PlannerView, scenes: Scenes, *, meanwhile: Array | None = None
+    ) -> None:
+        self.meanwhile = meanwhile
         self.view, self.state, self.vehicle = view, view.state, view.vehicle
         self.log, self.road, self.ego = scenes.log, scenes.road, view.ego
         self.index = self.frame = 0
@@ -196,19 +203,17 @@ class _Drive:
         self._touched: set[str] = set()
         self._progress = RouteProgress(line, begin=BEHIND)
         self._motions: list[Motion] = []
+        self._state: EgoState | None = None
+        self._rest: Motion | None = None
         self._plan_ms: list[float] = []
         self._limit = 13.9
         traffic.take_over(ego)
 
     def go(self, *, on_s: float) -> RouteResult:
         """Drive the route; on_s: seconds to drive after its end, without judging them."""
-        state: EgoState | None = None
-        outcome, stride = "time", round(self._config.replan_s / FRAME_S)
+        outcome = "time"
         for _ in range(round(self._config.seconds / self._config.replan_s)):
-            window = self._window(state)
-            motion = self._planned(window)
-            fault = self._execute(motion, stride)
-            state = state_after(motion, stride)
+            fault = self._replan()
             if fault is not None:
                 outcome = fault
                 break
@@ -225,12 +230,36 @@ class _Drive:
             plan_ms=list(self._plan_ms),
         )
         for _ in range(math.ceil(on_s / self._config.replan_s)):
-            motion = self._planned(self._window(state))
-            self._execute(motion, stride)
-            state = state_after(motion, stride)
+            self._replan()
         return result
 
-    def _window(self, state: EgoState | None) -> LiveWindow:
+    def _replan(self) -> str | None:
+        """Drive one plan, after the last one until it arrives; return the outcome of a fault."""
+        window = self._window()
+        seen, late = window.view.state, round(self._config.delay_s / FRAME_S)
+        started = perf_counter()
+        plan = self._driver(window, PLAN_TIMES)
+        self._plan_ms.append(1e3 * (perf_counter() - started))
+        begin, fault = seen, None
+        if late:
+            fault = self._execute(self._ahead_of(seen), late)
+            begin = state_after(self._ahead_of(seen), late)
+        if begins_s(self._driver):
+            plan = into_frame(out_of_frame(plan, seen.pose), begin.pose)
+        motion = tracked(plan[None], begin, self._vehicle)
+        steps = round(self._config.replan_s / FRAME_S) - late
+        self._state, self._rest = state_after(motion, steps), rest_of(motion, steps)
+        return self._execute(motion, steps) if fault is None else fault
+
+    def _ahead_of(self, state: EgoState) -> Motion:
+        """Return what is left of the last plan, or straight on before the first."""
+        if self._rest is None:
+            times = PLAN_TIMES
+            plan = np.stack([state.speed * times, 0 * times, 0 * times], -1)
+            self._rest = tracked(plan[None], state, self._vehicle)
+        return self._rest
+
+    def _window(self) -> LiveWindow:
         seen = self._traffic.seen()
         lane, _ = self._traffic.lane_of(self._ego)
         if lane in self._net.lanes:
@@ -254,13 +283,10 @@ class _Drive:
             scenes=self._scenes,
         )
         # The rollout's own state has no errors of finite differences.
-        return LiveWindow(view if state is None else replace(view, state=state), self._scenes)
-
-    def _planned(self, window: LiveWindow) -> Motion:
-        started = perf_counter()
-        plan = self._driver(window, PLAN_TIMES)
-        self._plan_ms.append(1e3 * (perf_counter() - started))
-        return tracked(plan[None], window.view.state, self._vehicle)
+        view = view if self._state is None else replace(view, state=self._state)
+        meanwhile = into_frame(self._ahead_of(view.state).poses[0], view.state.pose)
+        seconds = FRAME_S * np.arange(len(meanwhile))
+        return LiveWindow(view, self._scenes, meanwhile=np.c_[seconds, meanwhile])
 
     def _execute(self, motion: Motion, stride: int) -> str | None:
         """Drive `stride` steps; return the outcome if they end the route."""

@@ -125,6 +125,11 @@ def first_steps(motion: Motion, steps: int) -> Motion:
     return _cut(motion, slice(0, steps + 1))
 
 
+def rest_of(motion: Motion, steps: int) -> Motion:
+    """The motion from a step on."""
+    return _cut(motion, slice(steps, None))
+
+
 def state_after(motion: Motion, step: int) -> EgoState:
     """How the only plan's vehicle moves after a step."""
     speed = float(motion.speed[0, step])

@@ -127,7 +127,7 @@ class Engine:
         return AnchorBatch(
             arrays=arrays,
             dt=self._common_time_step(request) if own is None else own,
-            first_s=self.card.time.first_s,
+            first_s=self.card.time.first_s + request.delay_s,
             seed=request.seed,
             model=self.card.id,
             timing_ms=clock.elapsed_ms,

@@ -32,12 +32,15 @@ from anchorflow_trajectory.guard.guard import Guard, Verdict, told
 from anchorflow_trajectory.guard.motion import Car
 from anchorflow_trajectory.guard.raster_boxes import boxes_in
 from anchorflow_trajectory.guard.speeds import boxes_of
+from anchorflow_trajectory.late import Departure, joined
 
 TRAJECTORIES, SCORES = "trajectories", "scores"
 CAUSES, TIMES = "causes", "fault_times"
 """Arrays of a verdict between `finish` and `reason`; no answer holds them."""
-SPEED = 4
-"""Index of the velocity along x in `ego_status`."""
+SPEED, ASIDE = 4, 7
+"""Indices of the velocity along x and of the acceleration along y in `ego_status`."""
+SLOWEST_TURN = 1.0
+"""m/s; below it a yaw rate cannot be read from an acceleration."""
 AXLE = 0.2177
 """Lengths from a car's rear to its rear axle, as `anchorflow_driving.window` has it."""
 APART = 1.0
@@ -58,12 +61,17 @@ class GuardFinish:
 
     def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:  # noqa: ARG002
         """Return trajectories [N,T,D] and the sampler's arrays, and SAFE [N] if it is asked for."""
-        arrays = {TRAJECTORIES: samples.states[..., : self._D], **samples.arrays}
+        departure, plans = self._departure(scene), samples.states[..., : self._D]
+        if departure is not None:
+            speed, late = self._speed(scene), plans.astype(np.float64)
+            late = joined(late, self._times, speed=speed, departure=departure)
+            plans = late.astype(plans.dtype)
+        arrays = {TRAJECTORIES: plans, **samples.arrays}
         spec = scene.request.refine
         if not (isinstance(spec, GuardSpec) and spec.guard):
             return arrays
         GUARD_LOOPS.require()
-        return self._guarded(arrays, self._guard(samples.context, scene))
+        return self._guarded(arrays, self._guard(samples.context, scene, departure))
 
     def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:  # noqa: ARG002
         """Return why no trajectory is safe; None if one is, or if that is not asked for."""
@@ -71,16 +79,39 @@ class GuardFinish:
             return None
         return told(Verdict(arrays[CAUSES], arrays[TIMES]))
 
-    def _guard(self, context: Context, scene: ConditionedScene) -> Guard:
+    @property
+    def _times(self) -> NDArray[np.float64]:
+        """[T] s of the poses, from now or from the departure."""
+        steps = np.arange(self._time.steps, dtype=np.float64)
+        return np.asarray(self._time.first_s + (self._time.dt or 0.0) * steps)
+
+    @staticmethod
+    def _speed(scene: ConditionedScene) -> float:
+        return float(scene.inputs((STATUS,))[STATUS][0, SPEED])
+
+    def _departure(self, scene: ConditionedScene) -> Departure | None:
+        """Return where the plans of a request with a delay begin; None without one."""
+        request, status = scene.request, scene.inputs((STATUS,))[STATUS][0].tolist()
+        if not request.delay_s:
+            return None
+        speed, aside = status[SPEED], status[ASIDE]
+        if request.last_plan is not None:
+            return Departure.along(request.delay_s, request.last_plan, speed=speed)
+        yaw_rate = aside / speed if speed > SLOWEST_TURN else 0.0
+        return Departure.at_constant_rates(request.delay_s, speed=speed, yaw_rate=yaw_rate)
+
+    def _guard(
+        self, context: Context, scene: ConditionedScene, departure: Departure | None
+    ) -> Guard:
         entry, inputs = self._entry, scene.inputs(self._entry.inputs)
         length, width = entry.size or inputs[VEHICLE_SIZE][0].tolist()
-        steps = np.arange(self._time.steps)
         return Guard(
-            times=self._time.first_s + (self._time.dt or 0.0) * steps,
+            times=self._times,
             car=Car(front=(1 - AXLE) * length, rear=AXLE * length, side=width / 2),
-            speed=float(inputs[STATUS][0, SPEED]),
+            speed=self._speed(scene),
             perceived=perceived(entry, context),
             horizon_s=entry.horizon_s,
+            departure=departure,
         )
 
     def _guarded(self, arrays: Arrays, guard: Guard) -> Arrays:

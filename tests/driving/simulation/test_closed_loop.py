@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from anchorflow_driving.drivers import PLAN_TIMES, constant_velocity, idm, stop
-from anchorflow_driving.geometry import ahead_of
+from anchorflow_driving.geometry import ahead_of, out_of_frame
 from anchorflow_driving.log import DrivingLog, read_log, write_log
-from anchorflow_driving.window import Scenes, Window
+from anchorflow_driving.window import Scenes, Vehicle, Window
 
 for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")
@@ -118,3 +118,29 @@ def test_who_stands_is_asked_about_less_often(loop: Any) -> None:
     stands = np.hypot(*states[frames, 3:].T) < 0.3
     assert set(np.diff(frames)[~stands[1:]]) == {10}
     assert set(np.diff(frames)[stands[1:]]) == {40}
+
+
+@pytest.mark.parametrize("delay_s", [0.1, 0.3])
+def test_until_a_late_plan_arrives_the_car_does_what_the_driver_knew(
+    loop: Any, delay_s: float
+) -> None:
+    told: list[tuple[Vehicle, np.ndarray]] = []
+
+    def watching(window: Window, times: np.ndarray = PLAN_TIMES) -> np.ndarray:
+        assert window.meanwhile is not None
+        told.append((window.vehicle, out_of_frame(window.meanwhile[:, 1:], window.view.state.pose)))
+        return (stop if len(told) % 2 else constant_velocity)(window, times)
+
+    kept: list[DrivingLog] = []
+    config = loop.ClosedLoopConfig(seed=5, seconds=2.0, delay_s=delay_s)
+    loop.drive_route(watching, config, 0, keep=kept.append)
+
+    turned: list[float] = []
+    states, late = kept[0].track_state[kept[0].window_ego[0]], round(delay_s / 0.1)
+    for index, (vehicle, poses) in enumerate(told[:-1]):
+        asked = len(states) - 1 - 5 * (len(told) - index)
+        driven, known = states[asked : asked + 11, :2], vehicle.middles(poses[:11])[:, :2]
+        away = np.linalg.norm(driven - known, axis=1)
+        assert away[: late + 1].max() < 0.02
+        turned.append(away[-1])
+    assert max(turned) > 0.05  # then the new plan is driven

@@ -11,6 +11,7 @@ from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.guard.faults import BOX, NONE, ROAD, TAKEN, Perceived, first_faults
 from anchorflow_trajectory.guard.motion import FINE_S, Car, Legs
 from anchorflow_trajectory.guard.stops import braking_after, stops_along
+from anchorflow_trajectory.late import Departure
 
 UNDRIVABLE = -1
 """What is wrong with a plan that no car can follow."""
@@ -45,8 +46,9 @@ class Verdict:
 class Guard:
     """Judges plans in one scene.
 
-    times: [T] s of their poses; speed: m/s now
+    times: [T] s of their poses, from now or from the departure; speed: m/s now
     horizon_s: s for which a plan has to be clear of everything; then a stop has to be possible
+    departure: where late plans begin; the way until then is judged too
     """
 
     times: FloatArray
@@ -54,12 +56,13 @@ class Guard:
     speed: float
     perceived: Perceived
     horizon_s: float
+    departure: Departure | None = None
 
     def judge(self, plans: FloatArray) -> Verdict:
         """Judge plans [N,T,3]."""
-        legs = Legs.of(plans, self.times)
-        motion = braking_after(legs.fine(self.speed, self.car), self.horizon_s)
-        kind, step = first_faults(motion, self.car, self.perceived, horizon_s=self.horizon_s)
+        legs, horizon_s = self._legs(plans), self.horizon_s + self._delay_s
+        motion = braking_after(legs.fine(self.speed, self.car), horizon_s)
+        kind, step = first_faults(motion, self.car, self.perceived, horizon_s=horizon_s)
         undrivable = ~legs.can_be_driven(self.speed)
         return Verdict(
             np.where(undrivable, UNDRIVABLE, kind), np.where(undrivable, 0.0, FINE_S * step)
@@ -71,12 +74,24 @@ class Guard:
         It is the gentlest of those along the paths of the first PATHS plans that are safe; if none
         is, the one that is safe longest.
         """
-        stops = stops_along(Legs.of(plans[:PATHS], self.times), self.speed, self.times)
+        speed = self.speed if self.departure is None else self.departure.speed
+        stops = stops_along(self._legs(plans[:PATHS]), speed, self.times, late_s=self._delay_s)
         verdict = self.judge(np.concatenate([plans, stops]))
         of_stops = verdict.of(np.arange(len(plans), len(plans) + len(stops)))
         safe = of_stops.safe
         chosen = np.array([safe.argmax() if safe.any() else of_stops.time.argmax()])
         return verdict.of(np.arange(len(plans))), stops[chosen], of_stops.of(chosen)
+
+    @property
+    def _delay_s(self) -> float:
+        return 0.0 if self.departure is None else self.departure.time
+
+    def _legs(self, plans: FloatArray) -> Legs:
+        if self.departure is None:
+            return Legs.of(plans, self.times)
+        begins = np.broadcast_to(self.departure.pose, (len(plans), 1, 3))
+        times = self._delay_s + np.concatenate([[0.0], self.times])
+        return Legs.of(np.concatenate([begins, plans], 1), times)
 
 
 def told(verdict: Verdict) -> str:

@@ -16,15 +16,17 @@ FALLBACK = 6.0
 """m/s^2 of the braking that has to be possible after the horizon."""
 
 
-def stops_along(legs: Legs, speed: float, times: FloatArray) -> FloatArray:
+def stops_along(legs: Legs, speed: float, times: FloatArray, *, late_s: float = 0.0) -> FloatArray:
     """Return stops [3 N,T,3] along the paths of N plans, the gentlest of all first.
 
     Each stands within the time of a plan, so a fast car brakes harder than DECELERATIONS say.
 
-    speed: m/s now; times: [T] s of the poses
+    speed: m/s as the braking begins, `late_s` s from now at the end of the first leg, or now
+    times: [T] s of the poses from then on
     """
     rates = [max(least, speed / (times[-1] - FINE_S)) for least in DECELERATIONS]
-    ways = [_braked(times, np.full((len(legs.poses), 1), speed), rate) for rate in rates]
+    begin = np.hypot(*legs.poses[:, 1, :2].T)[:, None] if late_s else 0.0
+    ways = [begin + _braked(times, np.full((len(legs.poses), 1), speed), rate) for rate in rates]
     return np.concatenate([along_path(legs.poses, way) for way in ways])
 
 

@@ -9,7 +9,7 @@ import { byId, clamp, make, plain, showFill } from "./dom.js";
 /** Fields that have controls of their own, and fields that are for programs. */
 const NOT_IN_FORM = new Set([
   "cost_map", "x_curr", "x_goal", "w_style", "inputs", "outputs", "model", "warm_start", "footprint",
-  "obstacles", "budget_ms", "robot_id", "request_id",
+  "obstacles", "budget_ms", "robot_id", "request_id", "delay_s", "last_plan",
 ]);
 /** Kinds of `kinematics` that have a heading of their own. */
 export const WHEELS = ["differential", "ackermann"];
