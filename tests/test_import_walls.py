@@ -124,6 +124,7 @@ EXCEPTIONS = {
     "anchorflow_driving.sensors.bev": {"PIL"},
     "anchorflow_driving.cooperative": {"PIL", "moderngl"},
     "anchorflow_driving.sensors.cameras": {"moderngl"},
+    "anchorflow_driving.sensors.recorded_camera": {"PIL"},
     "anchorflow_driving.sensors.rendering": {"moderngl"},
     "anchorflow_driving.simulation": {"libsumo", "sumo"},
     "anchorflow_models.generation": {"anchorflow_service"},  # runs the service's samplers

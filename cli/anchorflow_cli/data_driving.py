@@ -21,6 +21,7 @@ from anchorflow_driving.importers.commonroad import import_commonroad
 from anchorflow_driving.importers.navsim import import_navsim
 from anchorflow_driving.importers.nuscenes import import_nuscenes
 from anchorflow_driving.log import DrivingLog, read_log, write_log
+from anchorflow_driving.recorded_sensors import read_sensors
 from anchorflow_driving.simulation import LogConfig
 from anchorflow_training.driving.anchors import anchor_scores, examples_of, trajectory_anchors
 from anchorflow_training.driving.driving_run import SensorRunConfig
@@ -129,6 +130,18 @@ def import_log(
         bool,
         typer.Option("--unpickle", help="NAVSIM: open a pickle; only plain data is read from it."),
     ] = False,
+    sensors: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            file_okay=False,
+            help="nuScenes, NAVSIM: folder of the recorded pictures and sweeps, to use them.",
+        ),
+    ] = None,
+    as_recorded: Annotated[
+        bool,
+        typer.Option("--as-recorded", help="Stitch pictures without undoing lens and direction."),
+    ] = False,
 ) -> None:
     """Turn a recording into a driving log with its windows."""
     layout = layout or layout_of(file)
@@ -136,7 +149,12 @@ def import_log(
         raise typer.BadParameter(f"--scene: a recording of {layout.value} holds one scene")
     if layout is not Layout.NAVSIM and (map_file is not None or unpickle):
         raise typer.BadParameter(f"--map and --unpickle: for navsim, found {layout.value}")
-    log, counts = _imported(file, layout, scene=scene, map_file=map_file, unpickle=unpickle)
+    if layout not in SCENES and sensors is not None:
+        raise typer.BadParameter(f"--sensors: for nuscenes and navsim, found {layout.value}")
+    if as_recorded and sensors is None:
+        raise typer.BadParameter("--as-recorded: expected --sensors too, found none")
+    seen = {"scene": scene, "sensors": sensors, "rectified": not as_recorded}
+    log, counts = _imported(file, layout, map_file=map_file, unpickle=unpickle, **seen)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_log(log, out)
     windows = counts.pop("windows", 0)
@@ -147,13 +165,13 @@ def import_log(
 
 
 def _imported(
-    file: Path, layout: Layout, *, scene: str | None, map_file: Path | None, unpickle: bool
+    file: Path, layout: Layout, *, map_file: Path | None, unpickle: bool, **options: Any
 ) -> tuple[DrivingLog, Counter[str]]:
     match layout:
         case Layout.COMMONROAD:
             return import_commonroad(file)
         case Layout.NUSCENES:
-            return import_nuscenes(file, scene=scene)
+            return import_nuscenes(file, **options)
         case Layout.ARGOVERSE:
             with needs_extra("driving", who="anchorflow data import-log of Argoverse 2"):
                 from anchorflow_driving.importers.argoverse import import_argoverse
@@ -164,7 +182,7 @@ def _imported(
                     f"{file} is a pickle: --unpickle opens it. Arrays, numbers, texts and"
                     " containers are read; nothing in it is run"
                 )
-            return import_navsim(file, map_file=map_file, scene=scene)
+            return import_navsim(file, map_file=map_file, **options)
 
 
 def frames(
@@ -233,7 +251,7 @@ def sensors(
     *,
     config: Annotated[Path, typer.Option(help="Of the run that is to learn from them (YAML).")],
 ) -> None:
-    """Draw the simulated camera and LiDAR of every window, and keep them beside the logs.
+    """Read or simulate the camera and LiDAR of every window, and keep them beside the logs.
 
     You can stop and restart it; `anchorflow train` draws what is missing.
     """
@@ -244,9 +262,11 @@ def sensors(
         )
     run: Any = layers(kind, {}, config)
     sizes = SensorSizes.of(run.model.backbone)
-    with needs_extra("driving", who="anchorflow data sensors"):
-        import moderngl  # noqa: F401 - so that its absence is one line
+    paths = open_logs(logs)
+    if any(read_sensors(path) is None for path in paths):
+        with needs_extra("driving", who="anchorflow data sensors"):
+            import moderngl  # noqa: F401 - so that its absence is one line
     with counted("logs drawn") as progress:
-        windows = open_sensor_windows(open_logs(logs), sizes, progress=progress)
+        windows = open_sensor_windows(paths, sizes, progress=progress)
     size = sum(map(len, windows.streams)) / 1e6
-    typer.echo(f"{logs}: simulated sensors of {len(windows)} windows, {size:.1f} MB")
+    typer.echo(f"{logs}: sensors of {len(windows)} windows, {size:.1f} MB")

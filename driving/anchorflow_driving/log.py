@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_driving.geometry import Array
+from anchorflow_driving.recorded_sensors import RecordedSensors, read_sensors
 from anchorflow_driving.route import SAME_POINT, without_repeats
 
 FRAME_S = 0.1
@@ -108,6 +109,7 @@ class DrivingLog:
     window_speed_limit: NDArray[np.float32]  # [W] m/s, NaN where unknown
     route_points: NDArray[np.float32]  # a centreline a window
     route_offsets: NDArray[np.int32]
+    sensors: RecordedSensors | None = None  # of track 0, the only ego then
     path: str = "a log in memory"
     """The file that it was read from, for messages."""
 
@@ -121,6 +123,10 @@ class DrivingLog:
                 self._check_offsets(field)
         self._check_values()
         self._check_windows()
+        if self.sensors is not None:
+            self.sensors.check(self.path, self.frames)
+            if self.window_ego.any():
+                raise self.refuse("window_ego", "0, whose sensors these are", self.window_ego.max())
 
     @property
     def frames(self) -> int:
@@ -256,7 +262,7 @@ def read_log(path: Path | str) -> DrivingLog:
                 found = f"{kind} {list(array.shape)}"
                 raise LogError(path, field, expected=f"{dtype} []", found=found)
             values[field] = array.item()
-    return DrivingLog(**values, path=str(path))
+    return DrivingLog(**values, sensors=read_sensors(path), path=str(path))
 
 
 def write_log(log: DrivingLog, path: Path | str) -> None:
@@ -269,6 +275,7 @@ def write_log(log: DrivingLog, path: Path | str) -> None:
         field.name: getattr(log, field.name) for field in fields(log) if field.name in LAYOUT
     }
     arrays["dt"] = np.float32(log.dt)
+    arrays |= {} if log.sensors is None else log.sensors.arrays()
     try:
         with Path(path).open("wb") as file:
             np.savez_compressed(file, **arrays)

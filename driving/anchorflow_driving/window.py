@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import Array, ahead_of, into_frame, states_into_frame, wrap_angle
 from anchorflow_driving.log import COMMANDS, FRAME_S, HISTORY_FRAMES, DrivingLog, Polylines
+from anchorflow_driving.recorded_sensors import RecordedSensors
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
 
@@ -82,6 +83,8 @@ class PlannerView:
     road: Road
     log_polylines: dict[str, Polylines]
     line_solid: NDArray[np.bool_]  # of the lines
+    sensors: RecordedSensors | None = None  # the ego's; simulated if there are none
+    frame: int = 0  # of the log, now
 
     def polylines(self, family: str) -> Polylines:
         """The map's lanes, centres, drivable rings, crosswalks or lines."""
@@ -170,6 +173,7 @@ class Window:
             command=self.command,
             speed_limit=self.speed_limit,
             scenes=self._scenes,
+            frame=self.frame,
         )
 
     def recorded(self, times: Array) -> Array:
@@ -193,10 +197,11 @@ def planner_view(
     command: int,
     speed_limit: float,
     scenes: Scenes,
+    frame: int = 0,
 ) -> PlannerView:
     """Make a view of the last frames of tracks [K, H + 1, 5], given in the log's frame.
 
-    route: [V, 2] in the log's frame; scenes: whose map it is
+    route: [V, 2] in the log's frame; scenes: whose map it is, and whose sensors at a frame
     """
     length, width = track_size[ego]
     vehicle = Vehicle(float(length), float(width))
@@ -215,6 +220,8 @@ def planner_view(
         road=scenes.road,
         log_polylines=scenes.map_polylines,
         line_solid=scenes.log.line_solid,
+        sensors=scenes.log.sensors,
+        frame=frame,
     )
 
 

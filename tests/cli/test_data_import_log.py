@@ -72,6 +72,8 @@ def test_a_pickle_is_opened_on_request_only(tmp_path: Path) -> None:
         (("--unpickle",), "for navsim, found commonroad"),
         (("--map", "map.gpkg"), "for navsim, found commonroad"),
         (("--format", "nuscenes"), "one v1.0-* with scene.json"),
+        (("--sensors", "."), "for nuscenes and navsim, found commonroad"),
+        (("--as-recorded",), "--as-recorded: expected --sensors too, found none"),
     ],
 )
 def test_options_of_another_layout_are_refused(

@@ -10,7 +10,7 @@ from anchorflow_training.driving.sensor_windows import VELOCITIES, Drawn, Sensor
 
 
 def drawn(window: Window, sizes: SensorSizes, *, agents: int = 30) -> Drawn:
-    """Replacement of `simulated`: its streets are real, and one agent in a few is kept."""
+    """Replacement of `sensed`: its streets are real, and one agent in a few is kept."""
     pictures = {
         name: np.full(shape, window.index, np.uint8) for name, shape in sizes.shapes.items()
     }

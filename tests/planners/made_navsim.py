@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from made_sensors import picture, sweep, turned, write_pcd, write_picture
 
 from anchorflow_driving.importers.geopackage import utm
 from anchorflow_driving.importers.navsim import CONNECTORS
@@ -154,6 +155,34 @@ def recording(*scenes: str) -> dict[str, Any]:
     """Return the frames of scenes, and how their map is written."""
     made = [frame for scene in scenes or ("scene-a",) for frame in frames(scene)]
     return {"frames": made, "left_out": "", "statements": []}
+
+
+CAMERAS = {"CAM_L0": turned(0.95), "CAM_F0": turned(0.03, 0.02), "CAM_R0": turned(-0.97)}
+INTRINSIC = np.array([[130.0, 0.0, 80.0], [0.0, 130.0, 45.0], [0.0, 0.0, 1.0]])
+DISTORTION = (-0.35, 0.17, -0.002, 0.0005, -0.05)
+"""About that of nuPlan's lenses."""
+LIDAR = np.column_stack([np.eye(3), [0.0, 0.0, 0.0]])
+
+
+def add_sensors(made: dict[str, Any], folder: Path) -> None:
+    """Write the pictures and the sweep of each frame, and what the frames tell of them."""
+    pictures = {name: picture(INTRINSIC, turn, DISTORTION) for name, turn in CAMERAS.items()}
+    for k, frame in enumerate(made["frames"]):
+        x = SPEED * 0.5 * k
+        frame["lidar_path"] = f"log/MergedPointCloud/{frame['token']}.pcd"
+        frame |= {"lidar2ego_translation": np.zeros(3), "lidar2ego_rotation": [1.0, 0, 0, 0]}
+        write_pcd(folder / frame["lidar_path"], sweep(x, LIDAR))
+        frame["cams"] = {}
+        for name, made_picture in pictures.items():
+            file = f"log/{name}/{frame['token']}.jpg"
+            write_picture(folder / file, made_picture)
+            frame["cams"][name] = {
+                "data_path": file,
+                "sensor2lidar_rotation": CAMERAS[name],
+                "sensor2lidar_translation": np.array([1.7, 0.0, 1.5]),
+                "cam_intrinsic": INTRINSIC,
+                "distortion": np.array(DISTORTION),
+            }
 
 
 def write(folder: Path, made: dict[str, Any]) -> Path:

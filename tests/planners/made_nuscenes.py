@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from made_sensors import picture, sweep, turned, write_pcd_bin, write_picture
+from scipy.spatial.transform import Rotation
 
 Tables = dict[str, Any]
 
@@ -173,9 +176,62 @@ def recording(*scenes: str) -> dict[str, Tables]:
     return {"tables": tables, "map": road()}
 
 
+# As on nuScenes' car, but for what a test shall notice: a yaw, a pitch, a LiDAR that looks left.
+CAMERAS = {
+    "CAM_FRONT_LEFT": turned(np.deg2rad(57.0)),
+    "CAM_FRONT": turned(np.deg2rad(2.0), np.deg2rad(-3.0)),
+    "CAM_FRONT_RIGHT": turned(np.deg2rad(-54.0)),
+}
+INTRINSIC = np.array([[126.0, 0.0, 81.0], [0.0, 127.0, 46.0], [0.0, 0.0, 1.0]])
+LIDAR = np.column_stack([Rotation.from_euler("z", 90, degrees=True).as_matrix(), [0.9, 0.0, 1.8]])
+LATE_S = {"LIDAR_TOP": -0.04}
+"""s after a keyframe at which a sensor records; 0.03 for cameras."""
+
+
+def add_sensors(tables: Tables, folder: Path) -> None:
+    """Write pictures and sweeps twice a second, and the rows that tell of them."""
+    mounts = {name: np.column_stack([turn, [1.7, 0.0, 1.5]]) for name, turn in CAMERAS.items()}
+    mounts |= {"LIDAR_TOP": LIDAR, "RADAR_FRONT": LIDAR}
+    pictures = {name: picture(INTRINSIC, turn) for name, turn in CAMERAS.items()}
+    tables["sensor"] = [{"token": name, "channel": name} for name in mounts]
+    tables["calibrated_sensor"] = [
+        {
+            "token": f"{name}-now",
+            "sensor_token": name,
+            "translation": mount[:, 3].tolist(),
+            "rotation": np.roll(Rotation.from_matrix(mount[:, :3]).as_quat(), 1).tolist(),
+            "camera_intrinsic": INTRINSIC.tolist() if name in CAMERAS else [],
+        }
+        for name, mount in mounts.items()
+    ]
+    for row in tables["sample_data"]:
+        row |= {"calibrated_sensor_token": "RADAR_FRONT-now", "timestamp": BEGIN, "filename": ""}
+    for sample in tables["sample"]:
+        for name in (*CAMERAS, "LIDAR_TOP"):
+            late = LATE_S.get(name, 0.03)
+            x = SPEED * ((sample["timestamp"] - BEGIN) / 1e6 + late)
+            token, suffix = f"{sample['token']}-{name}", "jpg" if name in CAMERAS else "pcd.bin"
+            time, file = sample["timestamp"] + round(1e6 * late), f"samples/{name}/{token}.{suffix}"
+            pose = {"translation": [*place(x, 0.0)[:2], 0.0], "rotation": rotation(0.0)}
+            tables["ego_pose"].append({"token": token, "timestamp": time, **pose})
+            row = {"token": token, "ego_pose_token": token, "sample_token": sample["token"]}
+            row |= {"calibrated_sensor_token": f"{name}-now", "timestamp": time, "filename": file}
+            tables["sample_data"].append(row)
+            if name in CAMERAS:
+                write_picture(folder / file, pictures[name])
+            else:
+                write_pcd_bin(folder / file, sweep(x, LIDAR))
+
+
 def write(folder: Path, made: dict[str, Tables]) -> Path:
     files = {f"v1.0-mini/{name}.json": rows for name, rows in made["tables"].items()}
     for name, rows in {**files, "maps/expansion/singapore-made.json": made["map"]}.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(json.dumps(rows))
     return folder
+
+
+if __name__ == "__main__":
+    made = recording("scene-0061", "scene-0103")
+    add_sensors(made["tables"], Path(sys.argv[1]))
+    write(Path(sys.argv[1]), made)

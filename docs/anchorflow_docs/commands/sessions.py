@@ -292,6 +292,22 @@ WALKTHROUGH = (
         ),
     ),
     Session(
+        "recorded sensors",
+        (
+            "anchorflow data import-log nuscenes --scene scene-0061 --sensors nuscenes"
+            " --out recorded/scene-0061.npz",
+            "anchorflow data import-log nuscenes --scene scene-0103 --sensors nuscenes"
+            " --out recorded/scene-0103.npz",
+            "anchorflow train recorded --config examples/wote-small.yaml --steps 10 --warmup 0"
+            " --batch.scenes 2 --held-out 0 --out runs/recorded",
+            "anchorflow export runs/recorded/checkpoint.pt --out bundles/recorded",
+            "anchorflow bench drive --logs recorded --bundle bundles/recorded"
+            " --out runs/recorded-drive",
+            "anchorflow serve --bundle bundles/recorded",
+        ),
+        before=("python tests/planners/made_nuscenes.py nuscenes",),
+    ),
+    Session(
         "two cameras",
         (
             ".venv/bin/anchorflow data crossings data/crossings --scenes 20",

@@ -24,6 +24,7 @@ from anchorflow_driving.importers.recording import (
     surroundings,
     velocities,
 )
+from anchorflow_driving.importers.sensor_files import SensorFile, SensorFiles, lens_of, mounted
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog, Lane, RoadMap
 
 EGO_SIZE = (5.176, 2.297)
@@ -41,6 +42,7 @@ KINDS = {
 }
 DRIVABLE = ("lane_groups_polygons", "lane_group_connectors", "intersections", "carpark_areas")
 """Layers whose union may be driven on, as in NAVSIM 1.1."""
+CHANNELS = ("CAM_L0", "CAM_F0", "CAM_R0")
 CONNECTORS = "gen_lane_connectors_scaled_width_polygons"
 
 
@@ -55,7 +57,12 @@ class _Boxes:
 
 
 def import_navsim(
-    path: Path, *, map_file: Path | None = None, scene: str | None = None
+    path: Path,
+    *,
+    map_file: Path | None = None,
+    scene: str | None = None,
+    sensors: Path | None = None,
+    rectified: bool = True,
 ) -> tuple[DrivingLog, Counter[str]]:
     """The log of a scene, with every window whose recorded future is good, and what was counted.
 
@@ -65,6 +72,9 @@ def import_navsim(
 
     map_file: nuPlan's `map.gpkg` of the city, since the pickle holds no map
     scene: its `scene_token`; needed where there are several
+    sensors: the folder of sensor blobs that `data_path` and `lidar_path` begin from; the recording
+        vehicle, and no other, is an ego then, and sees what its cameras and its LiDAR recorded
+    rectified: whether pictures are turned into those of the reference cameras
 
     Raises:
         LogError: names the file, the field, what was expected and what was found.
@@ -93,6 +103,7 @@ def import_navsim(
         city=city,
         path=path,
         origin=ego.poses[0, :2],
+        sensors=None if sensors is None else _sensor_files(frames, time, axle, sensors, rectified),
     )
     return log, counts + windows
 
@@ -114,6 +125,24 @@ def _ego(frames: Sequence[Entry], time: Array, axle: Array) -> Track:
     turned = np.column_stack([np.zeros((len(axle), 2)), axle[:, 2]])
     velocity = out_of_frame(np.stack([vx, vy], -1), turned)
     return Track(VEHICLE, EGO_SIZE, time, ahead_of(axle, EGO_AHEAD), velocity)
+
+
+def _sensor_files(
+    frames: Sequence[Entry], time: Array, axle: Array, folder: Path, rectified: bool
+) -> SensorFiles:
+    cameras: list[list[SensorFile]] = [[] for _ in CHANNELS]
+    lidar = []
+    for frame, now, pose in zip(frames, time.tolist(), axle, strict=True):
+        swept = mounted(frame["lidar2ego_translation"], frame["lidar2ego_rotation"])
+        lidar.append(SensorFile(now, frame["lidar_path"].text, swept, pose))
+        for channel, files in zip(CHANNELS, cameras, strict=True):
+            camera = frame["cams"][channel]
+            # The camera's place does not matter, its direction does.
+            turn = swept[:, :3] @ camera["sensor2lidar_rotation"].numbers(3, 3)
+            mount = np.column_stack([turn, np.zeros(3)])
+            lens = lens_of(camera["cam_intrinsic"], camera["distortion"])
+            files.append(SensorFile(now, camera["data_path"].text, mount, pose, lens))
+    return SensorFiles(folder, rectified, cameras, lidar)
 
 
 def _others(frames: Sequence[Entry], time: Array, axle: Array, counts: Counter[str]) -> list[Track]:

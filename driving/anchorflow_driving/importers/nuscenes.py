@@ -20,6 +20,7 @@ from anchorflow_driving.importers.recording import (
     surroundings,
     velocities,
 )
+from anchorflow_driving.importers.sensor_files import SensorFile, SensorFiles, lens_of, mounted
 from anchorflow_driving.log import CYCLIST, PEDESTRIAN, STATIC, VEHICLE, DrivingLog
 
 EGO_SIZE = (4.084, 1.730)
@@ -38,7 +39,16 @@ KINDS = {
 }
 
 
-def import_nuscenes(path: Path, *, scene: str | None = None) -> tuple[DrivingLog, Counter[str]]:
+CHANNELS = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "LIDAR_TOP")
+
+
+def import_nuscenes(
+    path: Path,
+    *,
+    scene: str | None = None,
+    sensors: Path | None = None,
+    rectified: bool = True,
+) -> tuple[DrivingLog, Counter[str]]:
     """The log of a scene, with every window whose recorded future is good, and what was counted.
 
     Boxes are interpolated between keyframes by straight lines, headings the short way. The ego's
@@ -46,6 +56,9 @@ def import_nuscenes(path: Path, *, scene: str | None = None) -> tuple[DrivingLog
 
     path: the folder that holds `v1.0-*` and `maps`, or the tables' folder in it
     scene: its name; needed where there are several
+    sensors: the folder that holds `samples` and `sweeps`; the recording vehicle, and no other, is
+        an ego then, and sees what its cameras and its LiDAR recorded
+    rectified: whether pictures are turned into those of the reference cameras
 
     Raises:
         LogError: names the file, the field, what was expected and what was found.
@@ -76,6 +89,7 @@ def import_nuscenes(path: Path, *, scene: str | None = None) -> tuple[DrivingLog
         city=place,
         path=path,
         origin=ego.poses[0, :2],
+        sensors=None if sensors is None else _sensor_files(tables, samples, sensors, rectified),
     )
     return log, counts + windows
 
@@ -137,6 +151,38 @@ def _ego(tables: _Tables, samples: dict[str, float]) -> Track:
     middle = ahead_of(axle, EGO_AHEAD)
     since = now + (begin - first) / 1e6
     return Track(VEHICLE, EGO_SIZE, since, middle, velocities(now, middle[:, :2]))
+
+
+def _sensor_files(
+    tables: _Tables, samples: dict[str, float], folder: Path, rectified: bool
+) -> SensorFiles:
+    """The pictures and sweeps of all times, not of keyframes alone."""
+    first = min(samples.values())
+    found: dict[str, list[SensorFile]] = {channel: [] for channel in CHANNELS}
+    for row in tables.rows("sample_data"):
+        if row["sample_token"].text not in samples:
+            continue
+        calibrated = tables.row("calibrated_sensor", row["calibrated_sensor_token"])
+        channel = tables.row("sensor", calibrated["sensor_token"])["channel"].text
+        if channel not in found:
+            continue
+        pose = tables.row("ego_pose", row["ego_pose_token"])
+        is_camera = channel != CHANNELS[-1]
+        found[channel].append(
+            SensorFile(
+                time=(row["timestamp"].number - first) / 1e6,
+                name=row["filename"].text,
+                mount=mounted(calibrated["translation"], calibrated["rotation"]),
+                pose=flat_pose(pose["translation"], pose["rotation"]),
+                lens=lens_of(calibrated["camera_intrinsic"]) if is_camera else None,
+            )
+        )
+    for channel, files in found.items():
+        if not files:
+            path = tables.path("sample_data")
+            raise LogError(path, "filename", expected=f"files of {channel}", found="none")
+    *cameras, lidar = found.values()
+    return SensorFiles(folder, rectified, cameras, lidar)
 
 
 def _others(tables: _Tables, samples: dict[str, float], counts: Counter[str]) -> list[Track]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from anchorflow_driving.geometry import Array, at_places
 from anchorflow_driving.importers.fields import Entry
 from anchorflow_driving.importers.lane_following import LaneFollowing
+from anchorflow_driving.importers.sensor_files import SensorFiles
 from anchorflow_driving.log import FRAME_S, NO_WINDOWS, VEHICLE, DrivingLog, RoadMap, track_fields
 from anchorflow_driving.window_choice import all_windows
 
@@ -46,32 +47,44 @@ def recorded_log(
     licence: str,
     city: str = "",
     origin: Array | None = None,
+    sensors: SensorFiles | None = None,
 ) -> tuple[DrivingLog, Counter[str]]:
     """The log at 10 Hz, with every window whose recorded future is good, and what was counted.
 
     origin: [2] what becomes (0, 0); far from it, float32 is too coarse
+    sensors: of track 0, which is the only ego then, where its files are near
+
+    Raises:
+        LogError: a file of sensors that a window needs is missing.
     """
     origin = np.zeros(2) if origin is None else origin
+    now = frame_times(max(track.time[-1] for track in tracks))
+    sensed = None if sensors is None else sensors.at(now, origin=origin)
     log = DrivingLog(
         name=name,
         source=source,
         licence=licence,
         city=city,
         dt=FRAME_S,
-        **_track_fields(tracks, origin),
+        **_track_fields(tracks, now, origin),
         **road.fields(origin=origin),
         **NO_WINDOWS,
+        sensors=sensed,
         path=str(path),
     )
     counts: Counter[str] = Counter()
     matched, found = LaneFollowing(log), []
-    for track in np.flatnonzero(log.track_type == VEHICLE).tolist():
+    vehicles = np.flatnonzero(log.track_type == VEHICLE).tolist()
+    for track in vehicles if sensed is None else vehicles[:1]:
         line = matched.driven(track, log.track_state[track].astype(np.float64))
         if line is None:
             counts["dropped: vehicle off the lanes"] += 1
         else:
-            found.append(line)
+            found.append(line if sensed is None else replace(line, asked=sensed.complete))
     log, chosen = all_windows(log, found)
+    if sensed is not None:
+        counts["frames with sensors"] = int(sensed.complete.sum())
+        sensed.check_files(log.window_frame.tolist())
     return log, counts + chosen
 
 
@@ -110,8 +123,7 @@ def is_near(points: Array, box: tuple[Array, Array]) -> bool:
     return bool((points.min(0) <= high).all() and (points.max(0) >= low).all())
 
 
-def _track_fields(tracks: Sequence[Track], origin: Array) -> dict[str, Any]:
-    now = frame_times(max(track.time[-1] for track in tracks))
+def _track_fields(tracks: Sequence[Track], now: Array, origin: Array) -> dict[str, Any]:
     frames = len(now)
     states = np.full((len(tracks), frames, 5), np.nan)
     for state, track in zip(states, tracks, strict=True):

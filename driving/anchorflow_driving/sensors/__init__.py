@@ -1,1 +1,1 @@
-"""Simulated sensors: a planner's inputs, drawn from a window of a log."""
+"""A planner's inputs of a window: from recorded sensors, or simulated ones drawn from the log."""

@@ -7,17 +7,11 @@ from numpy.typing import NDArray
 
 from anchorflow_client.sensors import stitch_cameras
 from anchorflow_driving.geometry import out_of_frame
-from anchorflow_driving.sensors.pinhole import PinholeCamera
+from anchorflow_driving.sensors.pinhole import COLUMNS, REFERENCE_CAMERAS, ROWS, PinholeCamera
 from anchorflow_driving.sensors.rendering import Renderer
 from anchorflow_driving.window import PlannerView
 
 Bytes = NDArray[np.uint8]
-
-# A quarter of the 1920 x 1080 pixels of nuPlan's cameras, whose focal length is 1545 pixels: so
-# the stitched picture needs no resizing.
-ROWS, COLUMNS, FOCAL = 270, 480, 1545.0 / 4
-AHEAD, HEIGHT, SIDE_YAW = 1.7, 1.5, np.deg2rad(55.0)
-"""m before the rear axle and above the ground; the side cameras are turned outwards."""
 
 POLE_HEIGHT = 6.0  # m
 POLE_AHEAD = (15.0, 45.0)
@@ -29,9 +23,7 @@ POLE_FOCAL = 1.1
 
 def camera_images(view: PlannerView, renderer: Renderer) -> tuple[Bytes, Bytes, Bytes]:
     """Left, front and right [270, 480, 3]."""
-    left, front, right = (
-        renderer.draw(view, _mounted(yaw)) for yaw in (float(SIDE_YAW), 0.0, -float(SIDE_YAW))
-    )
+    left, front, right = (renderer.draw(view, camera) for camera in REFERENCE_CAMERAS)
     return left, front, right
 
 
@@ -58,10 +50,6 @@ def roadside_camera(view: PlannerView) -> PinholeCamera:
 def simulated_roadside(view: PlannerView, renderer: Renderer) -> Bytes:
     """Draw the roadside camera's picture, the ego included: uint8 [270, 480, 3]."""
     return renderer.draw(view, roadside_camera(view), with_ego=True)
-
-
-def _mounted(yaw: float) -> PinholeCamera:
-    return PinholeCamera((AHEAD, 0.0, HEIGHT), yaw, 0.0, FOCAL, ROWS, COLUMNS)
 
 
 def _pole(view: PlannerView) -> NDArray[np.float64]:

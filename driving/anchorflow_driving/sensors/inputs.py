@@ -14,6 +14,7 @@ from anchorflow_client.sensors import ego_status, resize_image, route_ahead
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.log import COMMANDS
 from anchorflow_driving.sensors.lidar import simulated_lidar, simulated_lidar_before
+from anchorflow_driving.sensors.recorded_lidar import recorded_lidar, recorded_lidar_before
 from anchorflow_driving.window import PlannerView
 
 if TYPE_CHECKING:
@@ -30,13 +31,28 @@ def _bev(view: PlannerView, _: TensorSpec) -> NDArray[np.uint8]:
 
 
 def _camera(view: PlannerView, spec: TensorSpec) -> NDArray[np.uint8]:
-    """Draw the simulated cameras in the card's size."""
+    """Stitch recorded pictures or, if there are none, simulated ones, in the card's size."""
+    rows, columns = (int(size) for size in spec.shape[-2:])
+    if view.sensors is not None:
+        # Here, because it needs Pillow.
+        from anchorflow_driving.sensors.recorded_camera import recorded_camera
+
+        return recorded_camera(view.sensors, view.frame, rows=rows, columns=columns)
     # Here, because it needs the extra "driving", which other inputs do without.
     from anchorflow_driving.sensors.cameras import simulated_camera
 
-    rows, columns = (int(size) for size in spec.shape[-2:])
     picture = simulated_camera(view, _renderer()).transpose(1, 2, 0)
     return resize_image(picture, rows=rows, columns=columns).transpose(2, 0, 1)
+
+
+def _lidar(view: PlannerView, _: TensorSpec) -> NDArray[np.float32]:
+    sensors = view.sensors
+    return simulated_lidar(view) if sensors is None else recorded_lidar(view, sensors)
+
+
+def _lidar_before(view: PlannerView, _: TensorSpec) -> NDArray[np.float32]:
+    sensors = view.sensors
+    return simulated_lidar_before(view) if sensors is None else recorded_lidar_before(view, sensors)
 
 
 @cache
@@ -51,12 +67,12 @@ SENSORS: Mapping[str, Sensor] = {
     "bev": _bev,
     "camera": _camera,
     "ego_status": lambda view, _: status_of(view),
-    "lidar": lambda view, _: simulated_lidar(view),
-    "lidar_before": lambda view, _: simulated_lidar_before(view),
+    "lidar": _lidar,
+    "lidar_before": _lidar_before,
     "route": lambda view, _: route_ahead(view.route.points),
     "vehicle_size": lambda view, _: view.vehicle.size.astype(np.float32),
 }
-"""The possible inputs of a bundle, by name; camera and LiDAR are simulated."""
+"""The possible inputs of a bundle, by name; camera and LiDAR are simulated unless recorded."""
 
 
 def check_inputs(specs: Iterable[TensorSpec], *, of: str) -> None:

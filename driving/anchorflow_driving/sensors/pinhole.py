@@ -1,4 +1,4 @@
-"""The pinhole camera of simulated and of painted pictures."""
+"""The pinhole camera of simulated and of painted pictures, and the three that planners expect."""
 
 from __future__ import annotations
 
@@ -41,6 +41,14 @@ class PinholeCamera:
         across, down = self.focal * seen[:, :2].T / seen[:, 2]
         return np.stack([self.columns / 2 + across, self.rows / 2 + down], -1)
 
+    @property
+    def rays(self) -> Array:
+        """[rows, columns, 3]: the directions of the pixels' middles in the camera's frame."""
+        down, across = np.mgrid[: self.rows, : self.columns] + 0.5
+        ahead = np.full((self.rows, self.columns), self.focal)
+        seen = np.stack([across - self.columns / 2, down - self.rows / 2, ahead], -1)
+        return seen @ self.axes
+
     def matrix(self, near: float, far: float) -> Array:
         """Return [4, 4] from the frame to OpenGL's clip space, between two depths in m."""
         look = np.eye(4)
@@ -50,3 +58,21 @@ class PinholeCamera:
         lens[2, 2:] = (far + near) / (near - far), 2 * far * near / (near - far)
         lens[3, 2] = -1.0
         return lens @ look
+
+
+# A quarter of the 1920 x 1080 pixels of nuPlan's cameras, whose focal length is 1545 pixels: so
+# the stitched picture needs no resizing.
+ROWS, COLUMNS, FOCAL = 270, 480, 1545.0 / 4
+AHEAD, HEIGHT, SIDE_YAW = 1.7, 1.5, float(np.deg2rad(55.0))
+"""m before the rear axle and above the ground; the side cameras are turned outwards."""
+
+
+def reference_camera(yaw: float, *, scale: int = 1) -> PinholeCamera:
+    """Return one of the cameras that NAVSIM's planners look through, in a size times `scale`."""
+    place, size = (AHEAD, 0.0, HEIGHT), (scale * ROWS, scale * COLUMNS)
+    return PinholeCamera(place, yaw, 0.0, scale * FOCAL, *size)
+
+
+YAWS = (SIDE_YAW, 0.0, -SIDE_YAW)
+REFERENCE_CAMERAS = tuple(map(reference_camera, YAWS))
+"""Left, front and right."""

@@ -9,7 +9,7 @@ import torch
 from small_configs import BACKBONE as CONFIG
 from torch import Tensor
 
-from anchorflow_driving.sensors import cameras as simulated
+from anchorflow_driving.sensors import pinhole as simulated
 from anchorflow_models.transfuser import GROUND_WIDTH, GroundSight
 from anchorflow_models.transfuser.camera_lift import AHEAD, CAMERAS, FOCAL, HEIGHT
 

@@ -353,7 +353,7 @@ CONFIG = DiffusionDriveRunConfig(
 
 @pytest.fixture
 def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    monkeypatch.setattr(sensor_windows, "simulated", told)
+    monkeypatch.setattr(sensor_windows, "sensed", told)
     return [*open_logs(folder)]
 
 

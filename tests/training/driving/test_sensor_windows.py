@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from driven_bend import bend
+from made_nuscenes import add_sensors, recording, write
 
 from anchorflow_driving.drivers import PLAN_TIMES, idm
-from anchorflow_driving.log import DRIVEN
+from anchorflow_driving.importers.nuscenes import import_nuscenes
+from anchorflow_driving.log import DRIVEN, write_log
+from anchorflow_driving.sensors.inputs import draw_inputs
 from anchorflow_driving.sensors.rendering import Renderer, RenderingUnavailable
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.labels import CLASSES, occupancy, semantic_bev, view_after
-from anchorflow_training.driving.sensor_windows import SensorSizes, reflected
+from anchorflow_training.driving.sensor_windows import (
+    SensorSizes,
+    open_sensor_windows,
+    reflected,
+    sensors_of,
+)
 
 
 def test_semantics_show_the_leader_where_it_is_and_will_be() -> None:
@@ -60,7 +69,7 @@ def _renderer() -> None:
 def test_a_reflected_window_is_the_window_of_the_mirrored_bend() -> None:
     sizes = SensorSizes(64, 256, 256, 32.0)
     own, other = (
-        sensor_windows.simulated(Scenes(bend(0, mirrored=mirrored))[0], sizes)
+        sensor_windows.sensed(Scenes(bend(0, mirrored=mirrored))[0], sizes)
         for mirrored in (False, True)
     )
     seen = reflected(
@@ -81,7 +90,7 @@ def test_a_reflected_window_is_the_window_of_the_mirrored_bend() -> None:
 @pytest.mark.usefixtures("_renderer")
 def test_the_simulated_sensors_agree_on_where_the_leader_is() -> None:
     window = Scenes(bend(0))[0]
-    told = sensor_windows.simulated(window, SensorSizes(32, 128, 256, 32.0))
+    told = sensor_windows.sensed(window, SensorSizes(32, 128, 256, 32.0))
     assert told["camera"].shape == (3, 32, 128)
     assert told["camera"].std() > 1  # something is drawn
     assert told["agent_count"] == 1
@@ -101,8 +110,7 @@ def test_the_simulated_sensors_agree_on_where_the_leader_is() -> None:
 def test_a_drive_says_that_it_is_one_and_shows_what_pdm_closed_would_do() -> None:
     log, sizes = bend(0), SensorSizes(32, 128, 256, 32.0)
     recorded, drive = (
-        sensor_windows.simulated(Scenes(each)[0], sizes)
-        for each in (log, replace(log, source=DRIVEN))
+        sensor_windows.sensed(Scenes(each)[0], sizes) for each in (log, replace(log, source=DRIVEN))
     )
     assert (recorded["is_example"], recorded["is_recorded"]) == (1, 1)
     assert (drive["is_example"], drive["is_recorded"]) == (1, 0)
@@ -110,7 +118,24 @@ def test_a_drive_says_that_it_is_one_and_shows_what_pdm_closed_would_do() -> Non
     np.testing.assert_allclose(drive["future"], shown, atol=1e-5)
     assert not np.allclose(recorded["future"], shown, atol=0.1)
     aside = log.route_points + np.array([0.0, 9.0], np.float32)
-    lost = sensor_windows.simulated(
-        Scenes(replace(log, source=DRIVEN, route_points=aside))[0], sizes
-    )
+    lost = sensor_windows.sensed(Scenes(replace(log, source=DRIVEN, route_points=aside))[0], sizes)
     assert (lost["is_example"], lost["is_recorded"], lost["future"].any()) == (0, 0, False)
+
+
+def test_recorded_sensors_are_learnt_from_as_a_driver_is_shown_them(tmp_path: Path) -> None:
+    made, sizes = recording(), SensorSizes(32, 128, 256, 32.0, lidar_before=True)
+    add_sensors(made["tables"], tmp_path)
+    log, _ = import_nuscenes(write(tmp_path, made), sensors=tmp_path)
+    write_log(log, tmp_path / "made.npz")
+
+    windows = open_sensor_windows([tmp_path / "made.npz"], sizes)
+
+    batch = windows.batch(np.arange(len(windows)))
+    for index, window in enumerate(Scenes(log)):
+        shown = draw_inputs(window.view, sizes.inputs)
+        for name, array in sensors_of(batch).items():
+            np.testing.assert_allclose(array[index], shown[name], atol=1e-6, err_msg=name)
+    # Chance moves nobody in what was recorded.
+    np.testing.assert_array_equal(batch["lidar_randomised"], batch["lidar_before"])
+    np.testing.assert_array_equal(batch["randomised_velocity"], batch["agent_velocity"])
+    assert batch["agent_velocity"][:, 0].tolist() == [[pytest.approx(8.0, abs=0.01), 0.0]] * 6

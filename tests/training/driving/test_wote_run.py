@@ -53,7 +53,7 @@ CONFIG = WoteRunConfig(
 
 @pytest.fixture
 def logs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[Path]:
-    monkeypatch.setattr(sensor_windows, "simulated", TOLD)
+    monkeypatch.setattr(sensor_windows, "sensed", TOLD)
     return [*open_logs(folder)]
 
 

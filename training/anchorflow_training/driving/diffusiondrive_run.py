@@ -1,4 +1,4 @@
-"""Train DiffusionDriveV2 on driving logs with simulated sensors, stage by stage."""
+"""Train DiffusionDriveV2 on driving logs with recorded or simulated sensors, stage by stage."""
 
 from __future__ import annotations
 

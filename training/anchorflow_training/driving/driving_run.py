@@ -1,4 +1,4 @@
-"""Runs on driving logs: held-out logs, and sensors that are simulated for all planners."""
+"""Runs on driving logs: held-out logs, and recorded or simulated sensors for all planners."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from anchorflow_driving.recorded_sensors import read_sensors
 from anchorflow_models.transfuser import LIDAR_BEFORE
 from anchorflow_training.batches import (
     SIGNS,
@@ -115,7 +116,7 @@ class SensorRunConfig(RunConfig):
 
 
 class SensorRun(DrivingRun):
-    """A run on windows with simulated sensors; its config is a `SensorRunConfig` with a `model`."""
+    """A run on windows with sensors; its config is a `SensorRunConfig` with a `model`."""
 
     def __init__(self, config: Any, logs: Sequence[Path], out: Path) -> None:
         self.logs, self.loaders = logs, config.loaders
@@ -125,7 +126,8 @@ class SensorRun(DrivingRun):
 
     @property
     def data(self) -> dict[str, Any]:
-        return {"windows": self.count, "logs": len(self.logs), "sensors": "simulated"}
+        kinds = {"simulated" if read_sensors(log) is None else "recorded" for log in self.logs}
+        return {"windows": self.count, "logs": len(self.logs), "sensors": ", ".join(sorted(kinds))}
 
     def _new_model(self) -> Any:
         model = super()._new_model()

@@ -1,4 +1,4 @@
-"""Labels and variations of a window that simulated sensors are trained with."""
+"""Labels and variations of a window that planners with sensors are trained with."""
 
 from __future__ import annotations
 

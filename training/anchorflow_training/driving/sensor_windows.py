@@ -1,4 +1,4 @@
-"""Windows of driving logs with simulated sensors, kept compressed beside the logs."""
+"""Windows of driving logs with recorded or simulated sensors, kept compressed beside the logs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from anchorflow_training.driving.labels import (
 from anchorflow_training.driving.log_cache import Progress, log_arrays, no_windows
 
 KEPT = f".sensors-{DRAWING}"
-"""Suffix of the cache of simulated sensors beside a log."""
+"""Suffix of the cache of sensors beside a log."""
 LEVEL = 3  # of zlib
 COUNTS = 5  # points in a LiDAR cell that make 1
 SWEEPS = ("lidar", LIDAR_BEFORE)
@@ -186,7 +186,7 @@ def open_sensor_windows(
 ) -> SensorWindows:
     """The windows of logs; those of each log are drawn once, on every core, and kept beside it.
 
-    draw: the arrays of a window, named in `sizes.shapes` and NUMBERS; by default `simulated`
+    draw: the arrays of a window, named in `sizes.shapes` and NUMBERS; by default `sensed`
 
     Raises:
         LogError: a log or what is kept of it cannot be read, there is no place to write beside it,
@@ -196,7 +196,7 @@ def open_sensor_windows(
     parts = log_arrays(
         logs,
         KEPT,
-        partial(_drawn, sizes=sizes, draw=draw or simulated),
+        partial(_drawn, sizes=sizes, draw=draw or sensed),
         is_current=lambda part: (
             set(NUMBERS) <= set(part) and np.array_equal(part["layout"], layout)
         ),
@@ -233,16 +233,21 @@ def _drawn(log: Path, *, sizes: SensorSizes, draw: Callable[[Window, SensorSizes
     }
 
 
-def simulated(window: Window, sizes: SensorSizes) -> Drawn:
-    """By the simulated camera and LiDAR. Raises what they raise where nothing can be drawn."""
+def sensed(window: Window, sizes: SensorSizes) -> Drawn:
+    """By the recorded camera and LiDAR or, if the log has none, by simulated ones.
+
+    Chance moves others in simulated sweeps alone. Raises what the sensors raise.
+    """
     view, shown = window.view, example(window)
     future = np.zeros((len(PLAN_TIMES), 3)) if shown is None else shown
     seen = draw_inputs(view, sizes.inputs)
     agents, velocity, there = nearest_agents(view)
     far, far_velocity, far_there = far_others(view)
-    chance = randomised_motion(view)
+    is_simulated = view.sensors is None
+    chance = randomised_motion(view) if is_simulated else view
     if sizes.lidar_before:
-        seen[LIDAR_RANDOMISED] = simulated_lidar_before(chance)
+        before = simulated_lidar_before(chance) if is_simulated else seen[LIDAR_BEFORE]
+        seen[LIDAR_RANDOMISED] = before
     rows, reach = sizes.lidar_size // 2, sizes.lidar_range
     return {
         "camera": seen["camera"],

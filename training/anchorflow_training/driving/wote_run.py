@@ -1,4 +1,4 @@
-"""Train WoTE on driving logs with simulated sensors."""
+"""Train WoTE on driving logs with recorded or simulated sensors."""
 
 from __future__ import annotations
 
