@@ -55,22 +55,30 @@ class RecordedSensors:
         before = np.concatenate([np.zeros(BEFORE_FRAMES, bool), swept[:-BEFORE_FRAMES]])
         return (self.camera_file != "").all(0) & swept & before[: len(swept)]
 
-    def path(self, name: str) -> Path:
+    def picture(self, camera: int, frame: int) -> Path:
+        """The file of one of CAMERAS. Raises `LogError` if none is near that frame."""
+        return self._near(f"camera {CAMERAS[camera]}", self.camera_file[camera, frame], frame)
+
+    def sweep(self, frame: int) -> Path:
+        """The LiDAR's file. Raises `LogError` if none is near that frame."""
+        return self._near("LiDAR", self.lidar_file[frame], frame)
+
+    def _near(self, sensor: str, name: str, frame: int) -> Path:
+        if not name:
+            expected = f"a file near frame {frame}"
+            raise LogError(self.folder, sensor, expected=expected, found="none in the log")
         return Path(self.folder, name)
 
     def check_files(self, frames: Iterable[int]) -> None:
         """Raise `LogError` with the first file that is missing, of those of complete frames."""
-        wanted: dict[str, str] = {}
+        wanted: dict[Path, str] = {}
         for frame in frames:
-            named = {f"camera {side}": self.camera_file[n, frame] for n, side in enumerate(CAMERAS)}
-            named["LiDAR"] = self.lidar_file[frame]
-            named["LiDAR before"] = self.lidar_file[frame - BEFORE_FRAMES]
-            wanted |= {str(name): sensor for sensor, name in named.items()}
-        missing = [name for name in wanted if not self.path(name).is_file()]
+            wanted |= {self.picture(n, frame): f"camera {each}" for n, each in enumerate(CAMERAS)}
+            wanted |= {self.sweep(each): "LiDAR" for each in (frame, frame - BEFORE_FRAMES)}
+        missing = [path for path in wanted if not path.is_file()]
         if missing:
             found = f"nothing; {len(missing)} of {len(wanted)} files are missing"
-            sensor = wanted[missing[0]]
-            raise LogError(self.path(missing[0]), sensor, expected="its file", found=found)
+            raise LogError(missing[0], wanted[missing[0]], expected="its file", found=found)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """The fields as a log's file holds them."""
@@ -90,6 +98,12 @@ class RecordedSensors:
                 raise LogError(path, PREFIX + name, expected="finite numbers", found="NaN")
 
 
+def kinds_of(sensors: Iterable[RecordedSensors | None]) -> str:
+    """Say whether the sensors of logs are recorded, simulated, or both."""
+    kinds = {"simulated" if each is None else "recorded" for each in sensors}
+    return ", ".join(sorted(kinds))
+
+
 def read_sensors(path: Path | str) -> RecordedSensors | None:
     """The recorded sensors of a log's file; None if it has none.
 
@@ -100,7 +114,8 @@ def read_sensors(path: Path | str) -> RecordedSensors | None:
         with np.load(path, allow_pickle=False) as file:
             if PREFIX + "folder" not in file.files:
                 return None
-            read: dict[str, Any] = {name: file[PREFIX + name] for name in LAYOUT}
+            # numpy gives the bytes of what is no array.
+            read: dict[str, Any] = {name: np.asarray(file[PREFIX + name]) for name in LAYOUT}
     except (*UNREADABLE, KeyError) as error:
         expected = "the fields of recorded sensors"
         raise LogError(path, PREFIX + "folder", expected=expected, found=str(error)) from error

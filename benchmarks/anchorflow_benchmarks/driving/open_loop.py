@@ -36,6 +36,7 @@ from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.late_driver import LateDriver, late_drivers
 from anchorflow_driving.log import COMMANDS, FRAME_S, DrivingLog, read_logs
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer
+from anchorflow_driving.recorded_sensors import kinds_of
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine import Engine
@@ -384,7 +385,8 @@ def drive(
     windows = sum(log.windows for log in found)
     with progress("driving", windows) as advance:
         judged = judge_drivers(chosen, found, progress=advance)
-    about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows"}
+    sensors = kinds_of(log.sensors for log in found)
+    about = {"logs": f"{logs.name}: {len(found)} files, {windows} windows", "sensors": sensors}
     tables = drive_tables(judged)
     report("Drive", about, tables, out)
     if recorded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ def recorded_camera(sensors: RecordedSensors, frame: int, *, rows: int, columns:
     scale = max(1, math.ceil(rows / CAMERA_ROWS))
     images = []
     for number, (side, yaw) in enumerate(zip(CAMERAS, YAWS, strict=True)):
-        path = sensors.path(str(sensors.camera_file[number, frame]))
+        path = sensors.picture(number, frame)
         picture = _opened(path, f"camera {side}")
         if not sensors.rectified:
             images.append(np.asarray(picture))
@@ -90,9 +91,9 @@ def distorted(flat: Array, lens: Array) -> Array:
     return np.stack([across, down], -1)
 
 
-def _opened(path: object, sensor: str) -> Image.Image:
+def _opened(path: Path, sensor: str) -> Image.Image:
     try:
-        with Image.open(str(path)) as picture:
+        with Image.open(path) as picture:
             return picture.convert("RGB")
     except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise LogError(str(path), sensor, expected="a picture", found=str(error)) from error
+        raise LogError(path, sensor, expected="a picture", found=str(error)) from error

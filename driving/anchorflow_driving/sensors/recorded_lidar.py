@@ -43,7 +43,7 @@ def sweep(
     """
     frame = view.frame - frames_ago
     mount = sensors.lidar_mount[frame].astype(np.float64)
-    points = read_points(sensors.path(str(sensors.lidar_file[frame]))) @ mount[:, :3].T
+    points = read_points(sensors.sweep(frame)) @ mount[:, :3].T
     points += mount[:, 3]
     pose = into_frame(sensors.lidar_pose[frame].astype(np.float64), view.state.pose)
     points[:, :2] = out_of_frame(points[:, :2], pose)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -82,6 +83,17 @@ def test_a_planner_is_shown_what_was_recorded_where_it_was(tmp_path: Path, layou
             assert (np.abs(struck - place) <= 0.13).all(), name
 
 
+def test_a_pixels_ray_is_what_projects_to_its_middle() -> None:
+    for camera, yaw in zip(REFERENCE_CAMERAS, (55.0, 0.0, -55.0), strict=True):
+        places = np.array(camera.place) + 0.02 * camera.rays.reshape(-1, 3)
+        rows, columns = np.mgrid[: camera.rows, : camera.columns].reshape(2, -1) + 0.5
+        pixels = camera.project(camera.seen(places))
+        np.testing.assert_allclose(pixels, np.stack([columns, rows], -1), atol=1e-9)
+        x, y, z = camera.rays.mean((0, 1))
+        assert (np.rad2deg(np.arctan2(y, x)), z) == pytest.approx((yaw, 0.0))
+        assert camera.rays[0, 0, 2] > 0
+
+
 @LAYOUTS
 def test_pictures_are_stitched_as_recorded_where_that_is_asked(tmp_path: Path, layout: str) -> None:
     log = recorded(layout, tmp_path, rectified=False)
@@ -132,6 +144,39 @@ def test_what_a_recording_lacks_is_named_when_it_is_imported(
 ) -> None:
     with pytest.raises(LogError, match=said):
         recorded(layout, tmp_path, change=change)
+
+
+@pytest.mark.parametrize(
+    ("changed", "field", "found"),
+    [
+        ({"sensor_lidar_pose": np.zeros((121, 2), np.float32)}, "sensor_lidar_pose", "[121, 2]"),
+        ({"sensor_camera_lens": np.full((3, 121, 9), np.nan, np.float32)}, "camera_lens", "NaN"),
+        ({"sensor_folder": np.array(3)}, "sensor_folder", "int64 []"),
+        ({"sensor_lidar_file": None}, "sensor_folder", "sensor_lidar_file"),
+        ({"window_ego": np.ones(6, np.int32)}, "window_ego", "1"),
+    ],
+)
+def test_what_is_wrong_in_a_logs_file_is_named(
+    tmp_path: Path, changed: dict[str, Any], field: str, found: str
+) -> None:
+    path = tmp_path / "log.npz"
+    write_log(recorded("nuscenes", tmp_path), path)
+    with np.load(path) as file:
+        kept = {name: changed.get(name, file[name]) for name in file.files}
+    np.savez(path, **{name: array for name, array in kept.items() if array is not None})
+
+    with pytest.raises(LogError) as told:
+        read_log(path)
+
+    assert told.value.field.endswith(field)
+    assert found in told.value.found
+
+
+def test_a_frame_that_no_sensor_saw_is_named(tmp_path: Path) -> None:
+    view = Scenes(recorded("nuscenes", tmp_path))[0].view
+
+    with pytest.raises(LogError, match="LiDAR: expected a file near frame 22, found none"):
+        draw_inputs(replace(view, frame=22), SPECS[1:2])
 
 
 def damage(pattern: str, content: bytes) -> Callable[..., None]:

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from anchorflow_driving.recorded_sensors import read_sensors
+from anchorflow_driving.recorded_sensors import kinds_of, read_sensors
 from anchorflow_models.transfuser import LIDAR_BEFORE
 from anchorflow_training.batches import (
     SIGNS,
@@ -126,8 +126,8 @@ class SensorRun(DrivingRun):
 
     @property
     def data(self) -> dict[str, Any]:
-        kinds = {"simulated" if read_sensors(log) is None else "recorded" for log in self.logs}
-        return {"windows": self.count, "logs": len(self.logs), "sensors": ", ".join(sorted(kinds))}
+        sensors = kinds_of(map(read_sensors, self.logs))
+        return {"windows": self.count, "logs": len(self.logs), "sensors": sensors}
 
     def _new_model(self) -> Any:
         model = super()._new_model()
