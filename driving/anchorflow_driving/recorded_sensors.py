@@ -57,13 +57,14 @@ class RecordedSensors:
 
     def picture(self, camera: int, frame: int) -> Path:
         """The file of one of CAMERAS. Raises `LogError` if none is near that frame."""
-        return self._near(f"camera {CAMERAS[camera]}", self.camera_file[camera, frame], frame)
+        return self._near(f"camera {CAMERAS[camera]}", self.camera_file[camera], frame)
 
     def sweep(self, frame: int) -> Path:
         """The LiDAR's file. Raises `LogError` if none is near that frame."""
-        return self._near("LiDAR", self.lidar_file[frame], frame)
+        return self._near("LiDAR", self.lidar_file, frame)
 
-    def _near(self, sensor: str, name: str, frame: int) -> Path:
+    def _near(self, sensor: str, files: NDArray[np.str_], frame: int) -> Path:
+        name = str(files[frame]) if frame >= 0 else ""  # a log begins at frame 0
         if not name:
             expected = f"a file near frame {frame}"
             raise LogError(self.folder, sensor, expected=expected, found="none in the log")

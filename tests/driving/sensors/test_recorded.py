@@ -175,8 +175,9 @@ def test_what_is_wrong_in_a_logs_file_is_named(
 def test_a_frame_that_no_sensor_saw_is_named(tmp_path: Path) -> None:
     view = Scenes(recorded("nuscenes", tmp_path))[0].view
 
-    with pytest.raises(LogError, match="LiDAR: expected a file near frame 22, found none"):
-        draw_inputs(replace(view, frame=22), SPECS[1:2])
+    for frame, spec, missing in ((22, SPECS[1], 22), (2, SPECS[2], -3)):
+        with pytest.raises(LogError, match=f"LiDAR: expected a file near frame {missing}, found"):
+            draw_inputs(replace(view, frame=frame), [spec])
 
 
 def damage(pattern: str, content: bytes) -> Callable[..., None]:
