@@ -1,11 +1,13 @@
 """Drivers whose plans arrive late: made from what was seen a moment ago, driven from now on.
 
-A driver may know: a `BundleDriver` by the request field `delay_s`, and any other by the times of
-its poses (`by_time`). The plan of one that does not is driven as if it were on time.
+A driver may know: a `BundleDriver` by the request field `delay_s`, and any by the times of its
+poses (`by_time`), or by seeing what will be there when its plan arrives (`moved_on`). The plan of
+one that does not is driven as if it were on time.
 """
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +15,13 @@ import numpy as np
 from anchorflow_driving.bundle_driver import BundleDriver
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.geometry import Array, at_places, into_frame, out_of_frame
+from anchorflow_driving.moved_on import departure_of, moved_on
 from anchorflow_driving.window import Window
 
 
 def begins_s(driver: Driver) -> float:
     """Return s from what a driver sees to the moment from which it counts the times of a plan."""
-    return driver.delay_s if isinstance(driver, BundleDriver | ByTime) else 0.0
+    return driver.delay_s if isinstance(driver, BundleDriver | ByTime | MovedOn) else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +46,21 @@ class ByTime:
 
 
 @dataclass(frozen=True, eq=False)
+class MovedOn:
+    """Any driver that reads views alone, who sees what will be there when the plan arrives."""
+
+    driver: Driver
+    delay_s: float
+
+    def __call__(self, window: Window, times: Array = PLAN_TIMES) -> Array:
+        """Return poses [T, 3] at `times` (s) after the delay, in the window's frame."""
+        later = copy(window)
+        later.view = moved_on(window.view, self.delay_s, window.meanwhile)
+        departure = departure_of(window.view, self.delay_s, window.meanwhile)
+        return out_of_frame(self.driver(later, times), departure.pose)
+
+
+@dataclass(frozen=True, eq=False)
 class LateDriver:
     """Drives a window by what was to be seen `delay_s` before it."""
 
@@ -59,7 +77,8 @@ class LateDriver:
 
 
 def late_drivers(driver: Driver, name: str, delay_s: float) -> dict[str, Driver]:
-    """Return a driver told of a delay, by its poses' times, and as if on time, by their names.
+    """Return a driver that is told of a delay, drives by its poses' times, sees what will be there,
+    and drives as if it were on time, by their names.
 
     Without a delay there is one; only a bundle can be told.
     """
@@ -67,4 +86,5 @@ def late_drivers(driver: Driver, name: str, delay_s: float) -> dict[str, Driver]
         return {name: driver}
     ms = f"{name}_late_{1e3 * delay_s:.0f}"
     told = {ms: driver.late(delay_s)} if isinstance(driver, BundleDriver) else {}
-    return {**told, f"{ms}_by_time": ByTime(driver, delay_s), f"{ms}_untold": driver}
+    others = {"by_time": ByTime(driver, delay_s), "moved_on": MovedOn(driver, delay_s)}
+    return {**told, **{f"{ms}_{how}": late for how, late in others.items()}, f"{ms}_untold": driver}

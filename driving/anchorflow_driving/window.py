@@ -155,9 +155,15 @@ class Window:
         return Route(self.log.route(self.index))
 
     def before(self, seconds: float) -> Window:
-        """Return the window as it was some time ago, with the route and command of now."""
-        earlier = Window(self._scenes, self.index)
-        earlier.frame -= round(seconds / FRAME_S)
+        """Return the window as it was some time ago, with the route and command of now.
+
+        Its ego knows what it does until now, as the record has it, and how fast it is then.
+        """
+        earlier, steps = Window(self._scenes, self.index), round(seconds / FRAME_S)
+        earlier.frame -= steps
+        times = FRAME_S * np.arange(steps + 2)
+        if steps:
+            earlier.meanwhile = np.c_[times, earlier.recorded(times)]
         return earlier
 
     @cached_property

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
 
-from anchorflow_driving.drivers import PLAN_TIMES, constant_velocity, human, stop
-from anchorflow_driving.late_driver import ByTime, LateDriver, begins_s, late_drivers
-from anchorflow_driving.window import Window
+from anchorflow_driving.drivers import (
+    PLAN_TIMES,
+    constant_velocity,
+    human,
+    route_constant_speed,
+    stop,
+)
+from anchorflow_driving.late_driver import ByTime, LateDriver, MovedOn, begins_s, late_drivers
+from anchorflow_driving.moved_on import moved_on
+from anchorflow_driving.window import Scenes, Window
 
 OnStreet = Callable[..., Window]
 
@@ -31,7 +39,12 @@ def test_by_time_the_record_stays_the_record_and_untold_it_comes_too_late(
 ) -> None:
     window = on_street(speed=6.0)
     on_time = human(window, PLAN_TIMES)
-    for driver in (ByTime(human, delay_s), ByTime(constant_velocity, delay_s)):
+    for driver in (
+        ByTime(human, delay_s),
+        ByTime(constant_velocity, delay_s),
+        MovedOn(constant_velocity, delay_s),
+        MovedOn(route_constant_speed, delay_s),
+    ):
         assert begins_s(driver) == delay_s
         np.testing.assert_allclose(LateDriver(driver, delay_s)(window), on_time, atol=1e-4)
     untold = LateDriver(stop, delay_s)(window)
@@ -40,6 +53,20 @@ def test_by_time_the_record_stays_the_record_and_untold_it_comes_too_late(
     assert told[-1, 0] == pytest.approx(untold[-1, 0] - 6.0 * delay_s, abs=1e-4)
 
 
+def test_a_view_that_is_moved_on_is_what_will_be_seen(street: Any, other: Any) -> None:
+    """If everybody keeps their velocity, as on this street."""
+    log = street(other(20.0, 0.0, 6.0), other(30.0, 4.0, 8.0, heading=np.pi), speed=8.0)
+    window = Scenes(log)[0]
+    for meanwhile in (None, window.before(0.3).meanwhile):
+        view, true = moved_on(window.before(0.3).view, 0.3, meanwhile), window.view
+        np.testing.assert_allclose(view.tracks, true.tracks, atol=1e-4)
+        np.testing.assert_allclose(view.state.pose, true.state.pose, atol=1e-4)
+        np.testing.assert_allclose(view.route.points, true.route.points, atol=1e-3)
+        assert (view.state.speed, view.state.acceleration) == pytest.approx((8.0, 0.0), abs=1e-3)
+
+
 def test_only_a_bundle_can_be_told() -> None:
     assert late_drivers(stop, "stop", 0.0) == {"stop": stop}
-    assert [*late_drivers(stop, "stop", 0.3)] == ["stop_late_300_by_time", "stop_late_300_untold"]
+    assert [*late_drivers(stop, "stop", 0.3)] == [
+        f"stop_late_300_{how}" for how in ("by_time", "moved_on", "untold")
+    ]

@@ -21,6 +21,10 @@ FINE_S = 0.05
 """s between two times at which a car is kept from driving back."""
 PROJECTIONS = 3
 """Steps in which the departure is projected onto a path."""
+LONGEST_S = 1.0
+"""The latest departure."""
+LEAST_LEG_M = 0.5
+"""A shorter last leg says nothing of a curvature."""
 SHORTEST = 1e-6
 """m; a shorter leg is a halt."""
 
@@ -57,9 +61,11 @@ class Departure:
             plan = np.concatenate([np.zeros((1, 4)), plan])
         times, heading = plan[:, 0], np.unwrap(plan[:, 3])
         places = plan[:, 1:3]
-        rates = np.gradient(places, times, axis=0)
+        rates = np.gradient(places, times, axis=0, edge_order=min(len(times) - 1, 2))
         if times[0] == 0:
             rates[0] = speed * np.cos(heading[0]), speed * np.sin(heading[0])
+        if len(times) == 2:
+            rates[1] = 2 * rates[1] - rates[0]  # constant acceleration
         motion = Cubics(times, places.T, rates.T)
         now, then = (
             np.array([*motion.at(np.array([when]))[:, 0], np.interp(when, times, heading)])
@@ -111,16 +117,23 @@ def relative(poses: FloatArray, frame: FloatArray) -> FloatArray:
 
 
 def joined(
-    plans: FloatArray, times: FloatArray, *, speed: float, departure: Departure
+    plans: FloatArray,
+    times: FloatArray,
+    *,
+    speed: float,
+    departure: Departure,
+    at: FloatArray | None = None,
 ) -> FloatArray:
-    """Return plans as poses [N,T,3] at `times` s after a departure, which they pass smoothly.
+    """Return plans as poses [N,M,3] after a departure, which they pass smoothly.
 
     Where a plan brakes, the car is ahead of it at the departure, and comes back to it by its end;
-    where it pulls away, the car stays behind. After its end a plan goes on straight at its last
-    speed.
+    where it pulls away, the car stays behind. After its end a plan keeps its curvature, and its
+    speed or its braking.
 
     plans: [N,T,3] at `times` [T] s from now; speed: m/s with which they begin
+    at: [M] s of the poses after the departure; by default `times`
     """
+    at = times if at is None else at
     paths = _Paths.through(plans)
     start, aside, turn = paths.beside(departure)
     elapsed = np.arange(0.0, times[-1] + FINE_S / 2, FINE_S)
@@ -132,7 +145,7 @@ def joined(
     end = np.minimum(behind + slope / 2, 0.0)
     way += end + faded(elapsed / times[-1], behind - end, slope)
     way = np.maximum.accumulate(np.maximum(way, start[:, None]), 1)
-    way = np.stack([np.interp(times, elapsed, each) for each in way])
+    way = np.stack([np.interp(at, elapsed, each) for each in way])
     poses, fade_m = paths.at(way), max(FADE_S * departure.speed, LEAST_FADE_M)
     share = np.minimum((way - start[:, None]) / fade_m, 1.0)
     left, slope = aside[:, None], np.tan(turn)[:, None] * fade_m
@@ -144,21 +157,25 @@ def joined(
 
 
 def _ways(paths: _Paths, times: FloatArray, speed: float) -> Cubics:
-    """Return m along each path by s from now: it never falls, and goes on at the last speed."""
-    knots = np.concatenate([[0.0], times, [2 * times[-1]]])
-    legs = np.diff(paths.reach, axis=1) / np.diff(knots[:-1])
+    """Return m along each path by s from now, to LONGEST_S after its end: they never fall."""
+    knots = np.concatenate([[0.0], times, [times[-1] + LONGEST_S]])
+    steps = np.diff(knots[:-1])
+    legs = np.diff(paths.reach, axis=1) / steps
     rates = np.empty_like(paths.reach)
-    rates[:, 1:-1] = (
-        2 * legs[:, :-1] * legs[:, 1:] / np.maximum(legs[:, :-1] + legs[:, 1:], SHORTEST)
-    )
-    rates[:, 0], rates[:, -1] = np.clip(speed, 0.0, 3 * legs[:, 0]), legs[:, -1]
-    end = paths.reach[:, -1:] + legs[:, -1:] * times[-1]
-    return Cubics(knots, np.c_[paths.reach, end], np.c_[rates, legs[:, -1:]])
+    around = np.maximum(legs[:, :-1] + legs[:, 1:], SHORTEST)
+    rates[:, 1:-1] = 2 * legs[:, :-1] * legs[:, 1:] / around
+    braking = np.maximum(legs[:, -2:-1] - legs[:, -1:], 0.0) / steps[-1]
+    last = np.maximum(legs[:, -1:] - braking * steps[-1] / 2, 0.0)
+    rates[:, 0], rates[:, -1:] = np.clip(speed, 0.0, 3 * legs[:, 0]), last
+    moving = np.minimum(LONGEST_S, last / np.maximum(braking, SHORTEST))
+    end = paths.reach[:, -1:] + last * moving - braking * moving**2 / 2
+    final = last - braking * moving
+    return Cubics(knots, np.c_[paths.reach, end], np.c_[rates, final])
 
 
 @dataclass(frozen=True, eq=False)
 class _Paths:
-    """N curves through poses, with their headings; they go on straight at their ends.
+    """N curves through poses, with their headings; they keep their curvature after their ends.
 
     poses: [N,T + 1,3], headings unwrapped; reach: [N,T + 1] m of each pose along its path
     """
@@ -189,8 +206,17 @@ class _Paths:
         )
         place = faded(u, first[..., :2], ahead) + faded(1 - u, second[..., :2], -back)
         heading = first[..., 2:] + (second[..., 2:] - first[..., 2:]) * u
-        place += beyond[..., None] * np.concatenate([np.cos(heading), np.sin(heading)], -1)
-        return np.concatenate([place, heading], -1)
+        turn = self.last_curvature[:, None] * beyond
+        chord, course = beyond * np.sinc(turn / 2 / np.pi), heading[..., 0] + turn / 2
+        place += chord[..., None] * np.stack([np.cos(course), np.sin(course)], -1)
+        return np.concatenate([place, heading + turn[..., None]], -1)
+
+    @property
+    def last_curvature(self) -> FloatArray:
+        """[N] 1/m of the last legs."""
+        length = self.reach[:, -1] - self.reach[:, -2]
+        turn = self.poses[:, -1, 2] - self.poses[:, -2, 2]
+        return np.where(length > LEAST_LEG_M, turn / np.maximum(length, LEAST_LEG_M), 0.0)
 
     def beside(self, departure: Departure) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return m along each path [N], m to the left of it and rad from its heading there."""

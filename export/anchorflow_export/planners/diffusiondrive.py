@@ -17,6 +17,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import (
+    ROUTE,
     perceived,
     sensor_guard,
     sensor_inputs,
@@ -72,7 +73,7 @@ def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> P
     direction = TensorSpec("direction_scores", F32, ("B", "N"), range=(0.0, 1.0))
     return PlannerAdapter(
         parts=PlannerParts(
-            inputs=inputs,
+            inputs=(*inputs, ROUTE),
             conditioning=TensorsSpec(),
             sampler=TruncatedDiffusionEntry(
                 anchors=config.anchors,

@@ -16,11 +16,11 @@ from anchorflow_client.contract import (
     TimeSpec,
     uniform_schedule,
 )
-from anchorflow_client.sensors import ROUTE_POINTS
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.flowmp import PRIOR_BASIS, TIMES, drawn_states, flow_roles
 from anchorflow_export.planners.random_requests import (
     GUARD_HORIZON_S,
+    ROUTE,
     STATUS_UNIT,
     street_request,
 )
@@ -44,7 +44,6 @@ MOST_STATUS = 32.0
 """m/s, and m/s²: a faster car leaves the raster within four seconds, however it brakes."""
 STATUS = TensorSpec("ego_status", F32, ("B", 8), STATUS_UNIT, (-MOST_STATUS, MOST_STATUS))
 SIZE = TensorSpec("vehicle_size", F32, ("B", 2), "m", (0.3, 30.0))
-ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
 
 
 WEIGHTS = tuple(each.name for each in fields(ScoreWeights))

@@ -38,6 +38,7 @@ FASTEST_STATUS = 60.0  # m/s, and m/s²: bounds of a status
 STATUS_UNIT = (
     "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; acceleration x, y: m/s^2"
 )
+ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
 FASTEST, SHARPEST = 16.0, 2.0  # m/s and m/s² of cars in random streets
 WIDTHS = (6.0, 16.0)  # m, of the streets
 BLOCK, TAKEN = 8, 0.05  # cells a side of the blocks beside a street; their share

@@ -14,6 +14,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import (
+    ROUTE,
     perceived,
     sensor_guard,
     sensor_inputs,
@@ -52,7 +53,7 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
     context = model.context_for_score
     return PlannerAdapter(
         parts=PlannerParts(
-            inputs=inputs,
+            inputs=(*inputs, ROUTE),
             conditioning=TensorsSpec(),
             sampler=VocabularySpec(size=config.judged),
             finish=sensor_guard(

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import GuardSpec
 from anchorflow_service.bundle.manifest import (
-    STATUS,
     VEHICLE_SIZE,
     AgentsEntry,
     GuardEntry,
@@ -26,21 +25,17 @@ from anchorflow_service.engine.interfaces import (
     Samples,
     names_of_each,
 )
+from anchorflow_service.engine.late import LatePlans, departure_of, speed_of
 from anchorflow_service.engine.later_loops import GUARD_LOOPS
 from anchorflow_trajectory.guard.faults import Perceived, Raster
 from anchorflow_trajectory.guard.guard import Guard, Verdict, told
 from anchorflow_trajectory.guard.motion import Car
 from anchorflow_trajectory.guard.raster_boxes import boxes_in
 from anchorflow_trajectory.guard.speeds import boxes_of
-from anchorflow_trajectory.late import Departure, joined
 
 TRAJECTORIES, SCORES = "trajectories", "scores"
 CAUSES, TIMES = "causes", "fault_times"
 """Arrays of a verdict between `finish` and `reason`; no answer holds them."""
-SPEED, ASIDE = 4, 7
-"""Indices of the velocity along x and of the acceleration along y in `ego_status`."""
-SLOWEST_TURN = 1.0
-"""m/s; below it a yaw rate cannot be read from an acceleration."""
 AXLE = 0.2177
 """Lengths from a car's rear to its rear axle, as `anchorflow_driving.window` has it."""
 APART = 1.0
@@ -55,23 +50,19 @@ class GuardFinish:
 
     def __init__(self, manifest: Manifest, *, threads: int) -> None:  # noqa: ARG002 - a Finish's
         assert isinstance(manifest.finish, GuardEntry)
-        self._entry, self._time, self._D = manifest.finish, manifest.time, manifest.D
+        self._entry, self._late, self._D = manifest.finish, LatePlans(manifest), manifest.D
         self._of_each = names_of_each(manifest.answer.extras) | {SCORES}
         GUARD_LOOPS.load()
 
     def finish(self, samples: Samples, scene: ConditionedScene, *, threads: int) -> Arrays:  # noqa: ARG002
         """Return trajectories [N,T,D] and the sampler's arrays, and SAFE [N] if it is asked for."""
-        departure, plans = self._departure(scene), samples.states[..., : self._D]
-        if departure is not None:
-            speed, late = self._speed(scene), plans.astype(np.float64)
-            late = joined(late, self._times, speed=speed, departure=departure)
-            plans = late.astype(plans.dtype)
+        plans = self._late.answered(samples.states[..., : self._D], scene)
         arrays = {TRAJECTORIES: plans, **samples.arrays}
         spec = scene.request.refine
         if not (isinstance(spec, GuardSpec) and spec.guard):
             return arrays
         GUARD_LOOPS.require()
-        return self._guarded(arrays, self._guard(samples.context, scene, departure))
+        return self._guarded(arrays, self._guard(samples.context, scene))
 
     def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:  # noqa: ARG002
         """Return why no trajectory is safe; None if one is, or if that is not asked for."""
@@ -79,39 +70,16 @@ class GuardFinish:
             return None
         return told(Verdict(arrays[CAUSES], arrays[TIMES]))
 
-    @property
-    def _times(self) -> NDArray[np.float64]:
-        """[T] s of the poses, from now or from the departure."""
-        steps = np.arange(self._time.steps, dtype=np.float64)
-        return np.asarray(self._time.first_s + (self._time.dt or 0.0) * steps)
-
-    @staticmethod
-    def _speed(scene: ConditionedScene) -> float:
-        return float(scene.inputs((STATUS,))[STATUS][0, SPEED])
-
-    def _departure(self, scene: ConditionedScene) -> Departure | None:
-        """Return where the plans of a request with a delay begin; None without one."""
-        request, status = scene.request, scene.inputs((STATUS,))[STATUS][0].tolist()
-        if not request.delay_s:
-            return None
-        speed, aside = status[SPEED], status[ASIDE]
-        if request.last_plan is not None:
-            return Departure.along(request.delay_s, request.last_plan, speed=speed)
-        yaw_rate = aside / speed if speed > SLOWEST_TURN else 0.0
-        return Departure.at_constant_rates(request.delay_s, speed=speed, yaw_rate=yaw_rate)
-
-    def _guard(
-        self, context: Context, scene: ConditionedScene, departure: Departure | None
-    ) -> Guard:
+    def _guard(self, context: Context, scene: ConditionedScene) -> Guard:
         entry, inputs = self._entry, scene.inputs(self._entry.inputs)
         length, width = entry.size or inputs[VEHICLE_SIZE][0].tolist()
         return Guard(
-            times=self._times,
+            times=self._late.times,
             car=Car(front=(1 - AXLE) * length, rear=AXLE * length, side=width / 2),
-            speed=self._speed(scene),
+            speed=speed_of(scene),
             perceived=perceived(entry, context),
             horizon_s=entry.horizon_s,
-            departure=departure,
+            departure=departure_of(scene),
         )
 
     def _guarded(self, arrays: Arrays, guard: Guard) -> Arrays:

@@ -50,7 +50,8 @@ def test_poses_are_counted_from_the_delay_and_join_what_the_car_does(
 ) -> None:
     bare, late = plan(client), plan(client, delay_s=0.3, last_plan=last_plan)
     assert late.first_s == pytest.approx(0.8)
-    np.testing.assert_array_equal(bare.scores, late.scores)
+    assert 1e-4 < np.abs(bare.scores - late.scores).max() < 0.5  # scored as they are driven
+    assert np.corrcoef(bare.scores, late.scores)[0, 1] > 0.8
     ways = late.trajectories[:, 0, :2] - np.array([begins, 0.0])
     assert np.abs(np.linalg.norm(ways, axis=1) / 0.5 - speed).max() < 2.5  # 5 m/s^2 at most
     best = bare.trajectories[bare.best, :, :2]

@@ -35,6 +35,7 @@ from anchorflow_service.engine.interfaces import (
     names_of_each,
     unknown_names,
 )
+from anchorflow_service.engine.late import LatePlans
 from anchorflow_service.engine.samplers.device_loop import DeviceLoop
 from anchorflow_service.engine.samplers.flow import (
     PRIOR_MEAN,
@@ -95,7 +96,7 @@ class OdeSampler:
         self._is_scored = SCORE in manifest.graphs
         self._extras = [spec.name for spec in manifest.answer.extras]
         self._of_each = names_of_each(manifest.answer.extras)
-        self._state_shape = state_shape(manifest)
+        self._state_shape, self._late = state_shape(manifest), LatePlans(manifest)
         self._threads = threads
         self._pool = ThreadPool(threads, name="anchorflow-field")
         self.cuts_freely = False
@@ -198,7 +199,7 @@ class OdeSampler:
         # One entry for each component of the prior, which the anchors are dealt out over.
         arrays |= {name: arrays[name][begun.route] for name in self._of_each}
         if self._is_scored:
-            inputs = _score_inputs(context, states, begun.mean)
+            inputs = _score_inputs(context, self._late.as_driven(states, scene), begun.mean)
             arrays[SCORES] = self._graphs.run(SCORE, inputs, threads=threads)[SCORES][0]
             check()
         return Samples(states, begun.route, arrays)

@@ -7,7 +7,8 @@
     fine      the best of the candidates         -> scores [K], sub_scores [K,5], extras
 
 x_t, x_0 and the anchors of encode are in the diffusion's own units, everything else in SI's. The
-noise is drawn here from the request's seed; what the graphs do with it is deterministic.
+noise is drawn here from the request's seed; what the graphs do with it is deterministic. With a
+route in the request, candidates that end beside it lose score (`along_route.py`).
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from anchorflow_service.engine.interfaces import (
     names_of_each,
     unknown_names,
 )
+from anchorflow_service.engine.samplers.along_route import AlongRoute
 from anchorflow_trajectory.ode.ddim import CLEAN, ddim_step, noised
 
 Array = NDArray[np.float32]
@@ -68,7 +70,7 @@ class TruncatedDiffusionSampler:
         assert isinstance(manifest.sampler, TruncatedDiffusionEntry)
         self._manifest, self._graphs, self._entry = manifest, graphs, manifest.sampler
         self._signal = self._entry.noise.signal
-        self._T = manifest.time.steps
+        self._T, self._along = manifest.time.steps, AlongRoute(manifest)
         extras = manifest.answer.extras
         self._of_each = names_of_each(extras)
         self._extras = {spec.name for spec in extras}
@@ -163,11 +165,13 @@ class TruncatedDiffusionSampler:
         inputs = {**context, **found, "diversity": noise.diversity[None]}
         coarse = self._graphs.run("coarse", inputs, threads=threads)
         check()
-        kept = self._picked(coarse, best(coarse[COARSE_SCORES][0], self._entry.keep))
+        rough = self._along.scored(coarse[COARSE_SCORES][0], coarse[CANDIDATES][0], scene)
+        kept = self._picked(coarse, best(rough, self._entry.keep))
         given = {**context, **kept}
         given |= self._graphs.run("fine", given, threads=threads)
-        chosen = best(given[SCORES][0], request.num_samples)
-        arrays = {name: given[name][0] for name in (*self._extras, SCORES)}
+        scores = self._along.scored(given[SCORES][0], given[CANDIDATES][0], scene)
+        chosen = best(scores, request.num_samples)
+        arrays = {**{name: given[name][0] for name in self._extras}, SCORES: scores}
         arrays = {
             name: array[chosen] if name in self._of_each or name == SCORES else array
             for name, array in arrays.items()

@@ -4,7 +4,8 @@
     score    the context (optional)   -> trajectories [K,T,D], scores [K], extras
 
 A planner that takes pictures and a text has the graph `vision` before them (`vision_language.py`).
-Either graph may give any of them. Without scores the trajectories keep the order of the graph.
+Either graph may give any of them. Without scores the trajectories keep the order of the graph; with
+a route in the request those that end beside it lose score (`along_route.py`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from anchorflow_service.engine.interfaces import (
     names_of_each,
     unknown_names,
 )
+from anchorflow_service.engine.samplers.along_route import AlongRoute
 
 TRAJECTORIES, SCORES = "trajectories", "scores"
 
@@ -36,7 +38,7 @@ class VocabularySampler:
 
     def __init__(self, manifest: Manifest, graphs: Graphs, *, threads: int) -> None:  # noqa: ARG002
         self._graphs, self._encode_inputs = graphs, manifest.graphs["encode"].input_names
-        self._is_scored = "score" in manifest.graphs
+        self._is_scored, self._along = "score" in manifest.graphs, AlongRoute(manifest)
         looks = isinstance(manifest.conditioning, VisionLanguageEntry)
         self.views = Views(manifest, graphs) if looks else None
         self._of_each = names_of_each(manifest.answer.extras)
@@ -87,6 +89,8 @@ class VocabularySampler:
             check()
         trajectories = given[TRAJECTORIES][0]
         scores = given[SCORES][0] if SCORES in given else None
+        if scores is not None:
+            scores = self._along.scored(scores, trajectories, scene)
         ranks = np.zeros(len(trajectories)) if scores is None else scores
         chosen = best(ranks, scene.request.num_samples)
         arrays = {name: given[name][0] for name in self._extras}

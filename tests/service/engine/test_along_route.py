@@ -1,0 +1,61 @@
+"""The choice along a route, on the shipped bundles of planners that see by sensors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorBatch
+from anchorflow_client.contract.batch import beside_route
+from anchorflow_client.sensors import ego_status, route_ahead
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.local import LocalClient
+
+MOST = {"wote": 64, "diffusiondrive": 32}
+ASIDE = route_ahead([[0.0, 0.0], [80.0, 24.0]])
+
+
+@pytest.fixture(scope="module", params=MOST)
+def client(request: pytest.FixtureRequest) -> LocalClient:
+    return LocalClient.of(DEFAULT_BUNDLE.parent / request.param, threads=1)
+
+
+def plan(client: LocalClient, **asked: Any) -> AnchorBatch:
+    """Plan all anchors from noise that no sensor gives, at 6 m/s to the left."""
+    generator = np.random.default_rng(5)
+    status = ego_status(command="left", velocity=(6.0, 0.0), acceleration=(0.0, 0.0))
+    inputs = {
+        "camera": generator.integers(0, 255, (3, 128, 512), np.uint8),
+        "lidar": (generator.random((1, 256, 256), np.float32) > 0.99).astype(np.float32),
+        "ego_status": status,
+    }
+    most = MOST[client.engine.card.name]
+    return client.plan(inputs=inputs | asked, num_samples=most, seed=0)
+
+
+def test_what_ends_beside_the_route_loses_score_by_the_metre(client: LocalClient) -> None:
+    alone, told = plan(client), plan(client, route=ASIDE)
+    assert "route" in alone.absent_inputs
+    assert "route" not in told.absent_inputs
+    known = {way.tobytes(): index for index, way in enumerate(alone.trajectories)}
+    pairs = [
+        (known[w.tobytes()], i) for i, w in enumerate(told.trajectories) if w.tobytes() in known
+    ]
+    assert len(pairs) >= 5  # others have come from among those that were not scored finely
+    before, after = (np.array(each) for each in zip(*pairs, strict=True))
+    beside = beside_route(told.trajectories[:, -1, :2], ASIDE)
+    assert beside.max() > 2.0 > beside.min()
+    if client.engine.card.name == "wote":  # the other's fine scores look at their neighbours
+        lost = alone.scores[before] - told.scores[after]
+        np.testing.assert_allclose(lost, 0.2 * np.maximum(beside[after] - 2, 0), atol=1e-5)
+    away = beside_route(alone.trajectories[:, -1, :2], ASIDE)
+    assert beside[:8].mean() < away[:8].mean() - 0.1
+    assert (np.diff(told.scores) <= 0).all()
+
+
+def test_a_route_without_length_is_not_told(client: LocalClient) -> None:
+    alone, zeros = plan(client), plan(client, route=np.zeros((40, 2), np.float32))
+    np.testing.assert_array_equal(alone.trajectories, zeros.trajectories)
+    np.testing.assert_array_equal(alone.scores, zeros.scores)
