@@ -161,7 +161,7 @@ class Window:
         """
         earlier, steps = Window(self._scenes, self.index), round(seconds / FRAME_S)
         earlier.frame -= steps
-        times = FRAME_S * np.arange(steps + 2)
+        times = np.asarray(FRAME_S * np.arange(steps + 2), np.float64)
         if steps:
             earlier.meanwhile = np.c_[times, earlier.recorded(times)]
         return earlier

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anchorflow_trajectory import FloatArray
 
@@ -21,6 +22,8 @@ FINE_S = 0.05
 """s between two times at which a car is kept from driving back."""
 PROJECTIONS = 3
 """Steps in which the departure is projected onto a path."""
+CATCH_UP_S, CATCH_UP = 1.5, 2.0
+"""A difference in speed fades in so many s, or in more, so that it takes so many m/s^2."""
 LONGEST_S = 1.0
 """The latest departure."""
 LEAST_LEG_M = 0.5
@@ -37,7 +40,7 @@ class Departure:
     """
 
     time: float
-    pose: FloatArray
+    pose: NDArray[np.float64]
     speed: float
 
     @classmethod
@@ -48,7 +51,7 @@ class Departure:
         """
         turn = yaw_rate * time
         chord = speed * time * float(np.sinc(turn / 2 / np.pi))
-        pose = np.array([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn])
+        pose = np.array([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], np.float64)
         return cls(time, pose, speed)
 
     @classmethod
@@ -61,7 +64,7 @@ class Departure:
             plan = np.concatenate([np.zeros((1, 4)), plan])
         times, heading = plan[:, 0], np.unwrap(plan[:, 3])
         places = plan[:, 1:3]
-        rates = np.gradient(places, times, axis=0, edge_order=min(len(times) - 1, 2))
+        rates = np.gradient(places, times, axis=0, edge_order=2 if len(times) > 2 else 1)
         if times[0] == 0:
             rates[0] = speed * np.cos(heading[0]), speed * np.sin(heading[0])
         if len(times) == 2:
@@ -72,7 +75,8 @@ class Departure:
             for when in (0.0, time)
         )
         moving = motion.at(np.array([time]), rate=True)[:, 0] @ [np.cos(then[2]), np.sin(then[2])]
-        return cls(time, relative(then, now), max(float(moving), 0.0))
+        pose = np.asarray(relative(then, now), np.float64)
+        return cls(time, pose, max(float(moving), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +130,7 @@ def joined(
 ) -> FloatArray:
     """Return plans as poses [N,M,3] after a departure, which they pass smoothly.
 
-    Where a plan brakes, the car is ahead of it at the departure, and comes back to it by its end;
+    Where a plan brakes, the car is ahead of it at the departure, and comes back to it;
     where it pulls away, the car stays behind. After its end a plan keeps its curvature, and its
     speed or its braking.
 
@@ -141,9 +145,10 @@ def joined(
     way = ways.at(departure.time + elapsed)
     behind = start[:, None] - way[:, :1]
     along = departure.speed * np.cos(turn)[:, None]
-    slope = (along - ways.at(np.array([departure.time]), rate=True)) * times[-1]
-    end = np.minimum(behind + slope / 2, 0.0)
-    way += end + faded(elapsed / times[-1], behind - end, slope)
+    faster = along - ways.at(np.array([departure.time]), rate=True)
+    span = _catching_up(behind, faster).clip(CATCH_UP_S, times[-1])
+    end = np.minimum(behind + faster * span / 2, 0.0)
+    way += end + faded(np.minimum(elapsed / span, 1.0), behind - end, faster * span)
     way = np.maximum.accumulate(np.maximum(way, start[:, None]), 1)
     way = np.stack([np.interp(at, elapsed, each) for each in way])
     poses, fade_m = paths.at(way), max(FADE_S * departure.speed, LEAST_FADE_M)
@@ -154,6 +159,13 @@ def joined(
     poses[..., 1] += offset * np.cos(heading)
     poses[..., 2] += np.arctan(faded(share, left, slope, rate=True) / fade_m)
     return poses
+
+
+def _catching_up(ahead: FloatArray, faster: FloatArray) -> FloatArray:
+    """Return the s in which `faded` from m ahead and m/s faster begins with CATCH_UP m/s^2."""
+    ahead, faster = np.maximum(ahead, 0.0), np.maximum(faster, 0.0)
+    root = np.sqrt(16 * faster**2 + 24 * CATCH_UP * ahead)
+    return (4 * faster + root) / (2 * CATCH_UP)
 
 
 def _ways(paths: _Paths, times: FloatArray, speed: float) -> Cubics:
