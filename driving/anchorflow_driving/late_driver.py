@@ -15,7 +15,7 @@ import numpy as np
 from anchorflow_driving.bundle_driver import BundleDriver
 from anchorflow_driving.drivers import PLAN_TIMES, Driver
 from anchorflow_driving.geometry import Array, at_places, into_frame, out_of_frame
-from anchorflow_driving.moved_on import departure_of, moved_on
+from anchorflow_driving.moved_on import moved_on, to_come
 from anchorflow_driving.window import Window
 
 
@@ -56,8 +56,8 @@ class MovedOn:
         """Return poses [T, 3] at `times` (s) after the delay, in the window's frame."""
         later = copy(window)
         later.view = moved_on(window.view, self.delay_s, window.meanwhile)
-        departure = departure_of(window.view, self.delay_s, window.meanwhile)
-        return out_of_frame(self.driver(later, times), departure.pose)
+        poses, _ = to_come(window.view, self.delay_s, window.meanwhile)
+        return out_of_frame(self.driver(later, times), poses[-1])
 
 
 @dataclass(frozen=True, eq=False)

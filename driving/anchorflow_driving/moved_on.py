@@ -9,47 +9,59 @@ from dataclasses import replace
 
 import numpy as np
 
-from anchorflow_driving.geometry import Array, into_frame, out_of_frame, states_into_frame
+from anchorflow_driving.geometry import (
+    Array,
+    at_places,
+    into_frame,
+    out_of_frame,
+    states_into_frame,
+)
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.route import Route
 from anchorflow_driving.window import EgoState, PlannerView
-from anchorflow_trajectory.late import Departure
 
 
-def departure_of(view: PlannerView, seconds: float, meanwhile: Array | None) -> Departure:
-    """Return where the ego will be, in its frame.
+def to_come(view: PlannerView, seconds: float, meanwhile: Array | None) -> tuple[Array, Array]:
+    """Return poses [F, 3] in the ego's frame at every frame from now, and its speeds [F].
 
-    meanwhile: [K, 4] s, x, y, heading of what it does until then; None: it keeps its rates
+    meanwhile: [K, 4] s, x, y, heading of what the ego does until then; None: it keeps its rates
     """
+    times = np.asarray(FRAME_S * np.arange(round(seconds / FRAME_S) + 1), np.float64)
     speed = view.state.speed
-    if meanwhile is not None:
-        return Departure.along(seconds, meanwhile, speed=speed)
-    yaw_rate = speed * view.state.curvature
-    return Departure.at_constant_rates(seconds, speed=speed, yaw_rate=yaw_rate)
+    if meanwhile is None:
+        turn = speed * view.state.curvature * times
+        chord = speed * times * np.sinc(turn / 2 / np.pi)
+        poses = np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], -1)
+        return poses, np.full(len(times), speed)
+    known = meanwhile.copy()
+    known[:, 3] = np.unwrap(known[:, 3])
+    rates = np.gradient(known[:, 1:3], known[:, 0], axis=0)
+    along = rates[:, 0] * np.cos(known[:, 3]) + rates[:, 1] * np.sin(known[:, 3])
+    along[0] = speed
+    return at_places(times, known[:, 0], known[:, 1:]), np.interp(times, known[:, 0], along)
 
 
 def moved_on(view: PlannerView, seconds: float, meanwhile: Array | None) -> PlannerView:
     """Return the view some whole frames later, in the frame in which the ego then is."""
-    frames = round(seconds / FRAME_S)
-    steps = [departure_of(view, FRAME_S * frame, meanwhile) for frame in range(1, frames + 1)]
-    if not steps:
+    poses, speeds = to_come(view, seconds, meanwhile)
+    frames = len(poses) - 1
+    if not frames:
         return view
     later = np.repeat(view.tracks[:, -1:], frames, 1)
     later[..., :2] += FRAME_S * np.arange(1, frames + 1)[:, None] * later[..., 3:]
-    for frame, step in enumerate(steps):
-        heading = step.pose[2]
-        velocity = step.speed * np.array([np.cos(heading), np.sin(heading)])
-        later[view.ego, frame] = [*view.vehicle.middles(step.pose), *velocity]
-    tracks, end = np.concatenate([view.tracks[:, frames:], later], 1), steps[-1]
+    heading = poses[1:, 2]
+    velocity = speeds[1:, None] * np.stack([np.cos(heading), np.sin(heading)], -1)
+    later[view.ego] = np.concatenate([view.vehicle.middles(poses[1:]), velocity], -1)
+    tracks, end = np.concatenate([view.tracks[:, frames:], later], 1), poses[-1]
     state = EgoState(
-        pose=out_of_frame(end.pose, view.state.pose),
-        speed=end.speed,
-        acceleration=(end.speed - view.state.speed) / seconds,
+        pose=out_of_frame(end, view.state.pose),
+        speed=max(float(speeds[-1]), 0.0),
+        acceleration=(float(speeds[-1]) - view.state.speed) / seconds,
         curvature=view.state.curvature,
     )
     return replace(
         view,
         state=state,
-        tracks=states_into_frame(tracks, end.pose),
-        route=Route(into_frame(view.route.points, end.pose)),
+        tracks=states_into_frame(tracks, end),
+        route=Route(into_frame(view.route.points, end)),
     )
