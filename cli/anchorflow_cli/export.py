@@ -106,7 +106,7 @@ def export(
         name=_name(saved) if name is None else name,
         version=version,
         planner=saved.planner,
-        training={**provenance(saved), "noise_scale": choices.noise_scale},
+        training={**provenance(saved), **_chosen(choices)},
     )
     adapter = adapter_of(saved.planner, model, choices)
     with _sigterm_cleans_up():
@@ -135,6 +135,12 @@ def _name(checkpoint: Checkpoint) -> str:
     """Return the planner's name, with its variant if it has one: flowmp-small."""
     variant = checkpoint.config["model"].get("variant")
     return f"{checkpoint.planner}-{variant}" if variant else checkpoint.planner
+
+
+def _chosen(choices: ExportChoices) -> dict[str, Any]:
+    """Return the choices that change graphs and stand nowhere else in the manifest."""
+    scored = {"score": dict(choices.score)} if choices.score else {}
+    return {"noise_scale": choices.noise_scale, **scored}
 
 
 def _limits(checkpoint: Checkpoint) -> dict[str, Any]:

@@ -43,6 +43,7 @@ COMMANDS = {
     "distill": Command("training:distill_app", "Teach a student of few steps.", "train"),
     "generate": Command("generate", "Draw anchors from a checkpoint.", "train"),
     "export": Command("export", "Make a bundle of a checkpoint.", "train"),
+    "checkpoint": Command("checkpoint", "Make a checkpoint of a bundle.", "train"),
     "bench": Command("bench", "Measure quality, latency and load.", "bench"),
 }
 
@@ -75,7 +76,7 @@ def run(name: str, arguments: Sequence[str]) -> None:
 
 def usage() -> str:
     """Return the list of commands."""
-    lines = "".join(f"  {name:<8} {command.summary}\n" for name, command in COMMANDS.items())
+    lines = "".join(f"  {name:<10} {command.summary}\n" for name, command in COMMANDS.items())
     return (
         f"Usage: anchorflow COMMAND [OPTIONS]\n\n{lines}\n"
         "`anchorflow COMMAND --help` lists a command's options.\n"

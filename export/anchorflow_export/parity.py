@@ -62,7 +62,7 @@ def graph_differences(adapter: PlannerAdapter, bundle: Bundle) -> Iterator[Diffe
     """Run every graph at several sizes, each on outputs of torch's earlier graphs."""
     onnx, torch = OnnxGraphs(bundle), TorchGraphs(adapter.roles)
     for seed, sizes in enumerate(adapter.trials):
-        given = _scene_inputs(adapter, bundle, sizes, seed)
+        given = scene_inputs(adapter, bundle, sizes, seed)
         own: Arrays = {}
         for name, role in adapter.roles.items():
             missing = [s for s in adapter.own if s.name in role.inputs and s.name not in own]
@@ -118,7 +118,7 @@ def _sample_differences(
         yield _difference(f"{what}, {name}", array, wanted[name])
 
 
-def _scene_inputs(adapter: PlannerAdapter, bundle: Bundle, sizes: Sizes, seed: int) -> Arrays:
+def scene_inputs(adapter: PlannerAdapter, bundle: Bundle, sizes: Sizes, seed: int) -> Arrays:
     """Return the graphs' inputs that the scenes of a random request give, on a B axis."""
     if not adapter.scene_inputs:
         return {}

@@ -9,10 +9,19 @@ import pytest
 import torch
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
+from anchorflow_models.flow_matching import flow_matching_loss
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_training.batches import reflection
+from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.dataset import SceneDataset
-from anchorflow_training.objective import couple, paired, prior_covariance
+from anchorflow_training.objective import (
+    FlowObjective,
+    couple,
+    loss_named,
+    paired,
+    prior_covariance,
+)
+from anchorflow_training.settings import ConfigError
 from anchorflow_trajectory.spline.basis import Splines, spline_basis
 
 
@@ -149,3 +158,30 @@ def test_noise_has_the_covariance_that_it_was_given() -> None:
     expected = BASIS.own_time_states(Splines(control, np.ones(1)).control)[0]
     np.testing.assert_allclose(states[:, :-1], expected, rtol=1e-4, atol=1e-3)
     np.testing.assert_allclose(states[:, -1], own[3, -1], rtol=1e-6)
+
+
+def own_loss(
+    predicted: torch.Tensor, target: torch.Tensor, *_: object, sample_weights: object = None
+) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+    ends = (predicted - target)[:, :, -1].abs().mean()
+    return ends, {"ends": ends, "weighted": torch.tensor(float(sample_weights is not None))}
+
+
+def test_a_loss_is_imported_by_its_name() -> None:
+    assert loss_named(None) is flow_matching_loss
+    objective = FlowObjective(
+        create_l2_safety_cfm(L2Config(map_size=16, layers=1)),
+        FlowMatchingConfig(loss=f"{__name__}:own_loss"),
+    )
+    assert objective.loss is own_loss
+    for name, why in (
+        ("own_loss", "module .*own_loss"),
+        ("no_such_module:loss", "No module named 'no_such_module'"),
+        (f"{__name__}:no_such_loss", "no attribute 'no_such_loss'"),
+        (f"{__name__}:__name__", "which is no function"),
+        (":loss", "Empty module name"),
+    ):
+        with pytest.raises(
+            ConfigError, match=f"flow.loss: expected package.module:function.*{why}"
+        ):
+            loss_named(name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from small_configs import BACKBONE as SMALL
@@ -15,7 +16,14 @@ from transformers import ResNetBackbone, ResNetConfig
 
 from anchorflow_models.transfuser import TransfuserBackbone
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
-from anchorflow_training.pretrained import FIRST, load_resnet, load_sight, sight_of
+from anchorflow_training.pretrained import (
+    FIRST,
+    folded_normalisation,
+    load_resnet,
+    load_sight,
+    measure_normalisation,
+    sight_of,
+)
 from anchorflow_training.settings import ConfigError
 
 
@@ -58,6 +66,37 @@ def test_a_resnet_of_another_shape_is_named(resnet: tuple[Path, ResNetBackbone])
 def test_a_folder_without_one_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"expected a ResNet's config.json and model.safetensors"):
         load_resnet(TransfuserBackbone(SMALL), tmp_path)
+
+
+def test_folded_normalisation_is_measured_and_changes_nothing() -> None:
+    """Weights of a bundle compute the same before and after, and while the network trains too."""
+    torch.manual_seed(0)
+    model = tiny_wote(TINY_WOTE).eval()
+    parts = [part for part in model.modules() if isinstance(part, nn.BatchNorm2d)]
+    for part in parts:
+        nn.init.normal_(part.bias)
+        part.running_var.fill_(1.0 - part.eps)
+    size = TINY_WOTE.backbone
+    rng = np.random.default_rng(0)
+    batch = {
+        "camera": rng.integers(0, 256, (4, 3, size.image_height, size.image_width), dtype=np.uint8),
+        "lidar": rng.random((4, 1, size.lidar_size, size.lidar_size), dtype=np.float32),
+        "ego_status": rng.random((4, 8), dtype=np.float32),
+    }
+    tensors = [torch.from_numpy(each) for each in batch.values()]
+
+    def seen() -> torch.Tensor:
+        return model.encode(*tensors)["bev_tokens"].detach()
+
+    before = seen()
+    assert folded_normalisation(model) == parts
+    measure_normalisation(model.train(), [batch])
+    assert model.training
+    assert not folded_normalisation(model)
+    torch.testing.assert_close(model.eval() and seen(), before, rtol=1e-3, atol=1e-4)
+    for part in parts:
+        part.train()
+    torch.testing.assert_close(seen(), before, rtol=1e-2, atol=1e-3)
 
 
 EYES = replace(TINY_WOTE.backbone, lidar_before=True, lidar_size=64)

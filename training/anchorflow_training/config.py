@@ -23,6 +23,9 @@ class FlowMatchingConfig:
     logit_mean: float = setting(0.0, "Of logit_normal; above 0 is later than half.")
     logit_std: float = setting(1.0, "Of logit_normal.", gt=0)
     late_power: float = setting(2.0, "Of late: density proportional to t^(power - 1).", gt=0)
+    loss: str | None = setting(
+        None, "Loss of your own as package.module:function, called like `flow_matching_loss`."
+    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib import import_module
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from anchorflow_models.flowmp.frame import Frame
 from anchorflow_training.batches import reflection
 from anchorflow_training.config import FlowMatchingConfig
 from anchorflow_training.dataset import SceneDataset, own_time_states
+from anchorflow_training.settings import ConfigError
 
 
 def draw_flow_times(
@@ -57,12 +59,40 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return (a**2).sum(-1)[:, None] - 2 * a @ b.T + (b**2).sum(-1)
 
 
+Loss = Callable[..., tuple[Tensor, dict[str, Tensor]]]
+"""(predicted, target, weights, sample_weights=…) -> (loss, terms), as `flow_matching_loss`."""
+
+
+def loss_named(name: str | None) -> Loss:
+    """Import a loss by `package.module:function`; None is the house's own.
+
+    Raises:
+        ConfigError: there is no such module, or no such function in it.
+    """
+    if name is None:
+        return flow_matching_loss
+    module, _, function = name.partition(":")
+    said = f"flow.loss: expected package.module:function, got {name!r}"
+    try:
+        loss = getattr(import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{said} ({error})") from error
+    if not callable(loss):
+        raise ConfigError(f"{said}, which is no function")
+    return loss
+
+
 class FlowObjective(nn.Module):
-    """Loss and its terms on a batch, in the model's normalised units."""
+    """Loss and its terms on a batch, in the model's normalised units.
+
+    Raises:
+        ConfigError: there is no loss of the configured name.
+    """
 
     def __init__(self, model: L2SafetyCFM, config: FlowMatchingConfig) -> None:
         super().__init__()
         self.model, self.config = model, config
+        self.loss = loss_named(config.loss)
 
     def draw(self, scenes: int, samples: int, generator: torch.Generator) -> tuple[Tensor, Tensor]:
         """Noise [B, N, R] and flow times [B, N]; on the CPU, so alike on every device."""
@@ -90,7 +120,7 @@ class FlowObjective(nn.Module):
             target = model.prior.normalise(target, context["units"])
         modulation = model.modulate(t, context)
         predicted = model.normalised_field(x_t, state, mean, modulation, context)
-        return flow_matching_loss(
+        return self.loss(
             predicted.float(), target, self.config.weights, sample_weights=sample_weights
         )
 

@@ -1,14 +1,17 @@
-"""Weights that seeing begins with: a published ResNet, or another planner's perception."""
+"""Weights that seeing begins with: a published ResNet, another planner's perception, a bundle's."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from torch import nn
+import numpy as np
+import torch
+from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_models.torch_graphs import Role
 from anchorflow_models.transfuser import FarSight, GroundSight, SweepMotion, TransfuserBackbone
 from anchorflow_training.checkpoint import load_checkpoint
 from anchorflow_training.settings import ConfigError
@@ -78,3 +81,49 @@ def _weights(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder}: cannot be read as a ResNet ({error})") from error
     return network.state_dict()
+
+
+def folded_normalisation(model: nn.Module) -> list[nn.BatchNorm2d]:
+    """Return the normalisations that a bundle's exporter folded into the convolution before them.
+
+    They change nothing but add their bias, and know no mean and variance.
+    """
+    parts = [each for each in model.modules() if isinstance(each, nn.BatchNorm2d)]
+    means = [part for part in parts if part.running_mean is not None]
+    return [
+        part
+        for part in means
+        if not part.running_mean.any() and (part.running_var + part.eps == 1).all()
+    ]
+
+
+@torch.no_grad()
+def measure_normalisation(model: nn.Module, batches: Iterable[Mapping[str, np.ndarray]]) -> None:
+    """Measure the means and variances that folded normalisations lack, as training will use them.
+
+    What the network computes stays the same. batches: inputs of its `encode` by name
+    """
+    sums: dict[nn.BatchNorm2d, list[Tensor]] = {part: [] for part in folded_normalisation(model)}
+    if not sums:
+        return
+
+    def measured(part: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        x = inputs[0].transpose(0, 1).flatten(1)
+        sums[cast("nn.BatchNorm2d", part)].append(torch.stack([x.mean(1), x.square().mean(1)]))
+
+    hooks = [part.register_forward_pre_hook(measured) for part in sums]
+    learning = model.training
+    model.eval()
+    for batch in batches:
+        tensors = {name: torch.from_numpy(each) for name, each in batch.items()}
+        Role(model, "encode", outputs=("",)).run(tensors)
+    model.train(learning)
+    for hook in hooks:
+        hook.remove()
+    for part, each in sums.items():
+        mean, square = torch.stack(each).mean(0)
+        variance = (square - mean.square()).clamp(min=part.eps)
+        part.bias.add_(mean)
+        part.weight.copy_((variance + part.eps).sqrt())
+        part.running_mean.copy_(mean)
+        part.running_var.copy_(variance)

@@ -343,6 +343,11 @@ class TrainingRun(ABC):
         return planner_named(self.run_config.planner).create(self.run_config.model)
 
     def _resume(self, saved: Checkpoint) -> None:
+        if not saved.optimiser:
+            raise CheckpointError(
+                f"{self.checkpoint_path}: expected the checkpoint of a run, got weights alone; "
+                "--before begins a run with them"
+            )
         if saved.teacher != self.learnt_from:
             raise CheckpointError(
                 f"{self.checkpoint_path}: expected the teacher {saved.teacher or None}, as it was "

@@ -62,7 +62,7 @@ class AnswerSpec:
     arrays: tuple[str, ...] = ()
     """Which of velocities, accelerations, scores, clearance, safe and routes every answer holds."""
     extras: tuple[TensorSpec, ...] = field(default=(), metadata={"parts": TensorSpec})
-    """Further outputs of the graphs, sent if a request's `outputs` names them."""
+    """Further outputs, sent if a request's `outputs` names them."""
 
     @property
     def names(self) -> tuple[str, ...]:

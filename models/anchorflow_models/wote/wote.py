@@ -6,6 +6,8 @@ score      BEV tokens, ego, fine BEV, others -> anchors moved by their offsets, 
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -43,9 +45,13 @@ Context = dict[str, Tensor]
 
 
 class WoTE(nn.Module):
-    """anchors: [K, T, 3] poses in the ego's frame, m and rad"""
+    """anchors: [K, T, 3] poses in the ego's frame, m and rad
+    anchor_remainder: [K, W] added to the encoded anchors; 0, but for weights read from a bundle,
+        which has the encoded anchors without their encoder
+    """
 
     anchors: Tensor
+    anchor_remainder: Tensor
     status_units: Tensor
     offset_units: Tensor
 
@@ -55,6 +61,7 @@ class WoTE(nn.Module):
         width, heads, hidden, backbone = config.width, config.heads, config.hidden, config.backbone
         poses, tokens = config.num_steps * POSE, backbone.bev_size**2
         self.register_buffer("anchors", arcs(config.anchors, steps=config.num_steps, dt=config.dt))
+        self.register_buffer("anchor_remainder", torch.zeros(config.anchors, width))
         for name, units in (("status_units", STATUS_UNITS), ("offset_units", OFFSET_UNITS)):
             self.register_buffer(name, torch.tensor(units), persistent=False)
 
@@ -141,6 +148,7 @@ class WoTE(nn.Module):
             wanted, came = [*self.anchors.shape], [*anchors.shape]
             raise ValueError(f"anchors: expected shape {wanted}, got {came}")
         self.anchors.copy_(anchors)
+        self.anchor_remainder.zero_()
 
     def encode(
         self,
@@ -250,7 +258,14 @@ class WoTE(nn.Module):
         """[K, W] what the anchors are, which no scene changes."""
         scale = torch.tensor([*[1 / self.config.backbone.lidar_range] * 2, 1.0])
         poses = (self.anchors * scale.to(self.anchors)).flatten(1)
-        return self.anchor_encoder(self.to_anchor(poses)[None])[0]
+        return self.anchor_encoder(self.to_anchor(poses)[None])[0] + self.anchor_remainder
+
+    def _load_from_state_dict(
+        self, state_dict: dict[str, Any], prefix: str, *rest: Any, **how: Any
+    ) -> None:
+        """Load weights; those of earlier versions have no remainder."""
+        state_dict.setdefault(f"{prefix}anchor_remainder", torch.zeros_like(self.anchor_remainder))
+        super()._load_from_state_dict(state_dict, prefix, *rest, **how)
 
     def move(self, bev: Tensor, ego: Tensor, anchors: Tensor | None = None) -> Moved:
         """All anchors, moved to suit the scene.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from dataclasses import KW_ONLY, asdict, dataclass, field, fields
+from dataclasses import KW_ONLY, asdict, dataclass, field, fields, replace
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -55,6 +55,8 @@ from anchorflow_trajectory.ode.schedule import check_schedule
 FORMAT = 2
 FILE_NAME = "manifest.json"
 STATUS, VEHICLE_SIZE = "ego_status", "vehicle_size"
+RAW_POSITIONS = "raw_positions"
+"""An extra of every spline finish: the positions as they were sampled, before it."""
 FIELDS_OF_ANSWER = {item.name for item in fields(AnchorBatch)}
 
 # One path segment: a bundle never reads beside its own folder.
@@ -377,10 +379,17 @@ class Manifest(Entry):
             sampler=part_of(asdict(self.sampler), SAMPLERS),
             finish=part_of(asdict(self.finish), FINISHES),
             time=self.time,
-            answer=self.answer,
+            answer=self._answer(),
             quality=self.quality,
             training=self.training,
         )
+
+    def _answer(self) -> AnswerSpec:
+        """Return the answer with what a spline finish adds to the graphs' extras."""
+        if self.finish.kind != "spline":
+            return self.answer
+        raw = TensorSpec(RAW_POSITIONS, "float32", ("B", "N", self.time.steps, self.D), "m")
+        return replace(self.answer, extras=(*self.answer.extras, raw))
 
     def to_json(self) -> bytes:
         """Return the bytes of manifest.json."""

@@ -15,6 +15,7 @@ from anchorflow_client.contract import AnchorBatch, ModelCard, ResolvedRequest, 
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.bundle.graphs import OnnxGraphs
+from anchorflow_service.bundle.manifest import RAW_POSITIONS
 from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.conditioning.cost_map import MapScene
@@ -197,6 +198,9 @@ class Engine:
         """Return the arrays of a scene's answer, and why none of its anchors is safe."""
         check()
         if isinstance(scene, MapScene) and scene.request.has_body:
+            if RAW_POSITIONS in scene.request.outputs:
+                said = f"expected no {RAW_POSITIONS}: poses of a body are searched, not sampled"
+                raise InvalidRequest(said, "outputs")
             with clock.stage("refine"):
                 finished = self._poses.plan(scene, threads=threads)
             return self._answer(scene, finished)

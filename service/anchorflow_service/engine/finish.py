@@ -12,7 +12,7 @@ from functools import partial
 from itertools import pairwise
 
 from anchorflow_client.contract import RefineSpec
-from anchorflow_service.bundle.manifest import Manifest, SplineEntry
+from anchorflow_service.bundle.manifest import RAW_POSITIONS, Manifest, SplineEntry
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.guard import GuardFinish
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
@@ -87,6 +87,7 @@ class SplineFinish:
             "clearance": refined.clearance,
             "safe": refined.safe,
             "routes": refined.routes,
+            RAW_POSITIONS: samples.states[..., : self._manifest.D],
             **own,
             **samples.arrays,
         }

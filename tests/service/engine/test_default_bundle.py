@@ -9,6 +9,7 @@ import pytest
 from asked_engine import assert_same_bytes, plan
 
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, resolve_for_card
+from anchorflow_client.errors import InvalidRequest
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.engine import Engine
 
@@ -202,3 +203,22 @@ def test_the_barrier_raises_the_share_that_is_safe(engine: Engine) -> None:
     np.testing.assert_array_equal(
         with_barrier.trajectories[without.safe], without.trajectories[without.safe]
     )
+
+
+def test_raw_positions_are_the_samples_before_the_finish(engine: Engine) -> None:
+    """In the request's frame; the trajectories beside them are what they are without."""
+    request = cluttered(outputs=["raw_positions"])
+    both = plan(engine, request)
+    assert_same_bytes(both, plan(engine, cluttered()))
+    (drawn,) = engine.samples(resolve_for_card(request, engine.card))
+    raw = both.arrays["raw_positions"]
+    np.testing.assert_array_equal(raw, drawn.states[..., :2])
+    moved = np.linalg.norm(raw - both.trajectories, axis=-1)
+    assert 0.01 < moved.mean() < 1.0
+    body = {
+        "kinematics": {"kind": "differential"},
+        "x_curr": [-4.0, *[0.0] * 8],
+        "x_goal": [4.0, *[0.0] * 5],
+    }
+    with pytest.raises(InvalidRequest, match="expected no raw_positions: poses of a body"):
+        plan(engine, cluttered(outputs=["raw_positions"], **body))

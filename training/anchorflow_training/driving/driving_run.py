@@ -31,10 +31,18 @@ from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.driving.anchors import read_points, trajectory_anchors
 from anchorflow_training.driving.pdm_judge import PdmJudge
 from anchorflow_training.driving.sensor_windows import SensorSizes, disturb, open_sensor_windows
-from anchorflow_training.pretrained import BACKBONE, load_resnet, load_sight, sight_of
+from anchorflow_training.pretrained import (
+    BACKBONE,
+    load_resnet,
+    load_sight,
+    measure_normalisation,
+    sight_of,
+)
 from anchorflow_training.record import Row
 from anchorflow_training.run import TrainingRun
 from anchorflow_training.settings import check_fixed, other_default, setting
+
+MEASURED = 2  # batches, for the statistics that weights of a bundle lack
 
 
 class DrivingRun(TrainingRun):
@@ -140,8 +148,7 @@ class SensorRun(DrivingRun):
     def begin_after(self, model: Any, weights: Mapping[str, torch.Tensor]) -> None:
         """Load those weights, and over them another planner's perception, if one is named."""
         super().begin_after(model, weights)
-        if self.config.perception:
-            load_sight(sight_of(model), Path(self.config.perception))
+        self._load_perception(model)
 
     @cached_property
     def judge(self) -> PdmJudge:
@@ -203,8 +210,12 @@ class SensorRun(DrivingRun):
 
     def load_sight(self, model: nn.Module) -> None:
         """Load the configured weights of perception, if there are any."""
-        sight = sight_of(model)
         if self.config.resnet:
-            load_resnet(sight[BACKBONE], Path(self.config.resnet))
+            load_resnet(sight_of(model)[BACKBONE], Path(self.config.resnet))
+        self._load_perception(model)
+
+    def _load_perception(self, model: nn.Module) -> None:
+        """Load the configured perception, and measure statistics that weights may lack."""
         if self.config.perception:
-            load_sight(sight, Path(self.config.perception))
+            load_sight(sight_of(model), Path(self.config.perception))
+        measure_normalisation(model, map(self.batch, range(MEASURED)))

@@ -18,7 +18,12 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.bundle.manifest import CostMapSpec, Manifest, SplineEntry
+from anchorflow_service.bundle.manifest import (
+    RAW_POSITIONS,
+    CostMapSpec,
+    Manifest,
+    SplineEntry,
+)
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
@@ -163,7 +168,8 @@ class MapScene:
         """Return the arrays with trajectories in the request's own frame, float64 if it is far."""
         if not self.reference.any():
             return arrays
-        return arrays | {"trajectories": _displaced(arrays["trajectories"], self.reference)}
+        placed = [name for name in ("trajectories", RAW_POSITIONS) if name in arrays]
+        return arrays | {name: _displaced(arrays[name], self.reference) for name in placed}
 
 
 def outline_of(request: ResolvedRequest) -> Outline:

@@ -1,0 +1,66 @@
+"""A bundle's graphs give back the weights of the network that it was exported from."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+import torch
+from command_line import failure, succeed
+from exported_bundles import Exported
+from small_v2x import small_sizes
+
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.quantization import quantize_bundle
+from anchorflow_export.read_back import read_weights
+from anchorflow_models.registry import planner_named
+from anchorflow_service.bundle import load_bundle
+from anchorflow_training.checkpoint import load_checkpoint, weights_before
+from anchorflow_training.config import TrainerConfig
+
+# By planner: parts that only training uses, and those that are read to within a rounding.
+CASES = {
+    "wote": (("occupancy.", "future_"), ("to_anchor.", "anchor_encoder.", "backbone.")),
+    "v2x_vlm": (("decoder.", "projection.", "locator.", "position_embed."), ()),
+}
+
+
+@pytest.mark.parametrize("planner", CASES)
+def test_every_weight_of_a_graph_is_read(planner: str, exported: Callable[[str], Exported]) -> None:
+    made = exported(planner)
+    unused, rounded = CASES[planner]
+    with small_sizes():
+        model = planner_named(planner).create(made.network.config).eval()
+    if planner == "v2x_vlm":
+        model.tokenizer = made.network.tokenizer
+    read = read_weights(load_bundle(made.path), model, ExportChoices(), planner=planner)
+    assert all(any(part in name for part in unused) for name in read.anew), read.anew
+    assert max(each.error for each in read.differences) < 1e-4
+    wanted = made.network.state_dict()
+    same = [name for name in wanted if not any(part in name for part in (*unused, *rounded))]
+    assert len(same) > 0.3 * len(wanted)
+    for name in same:
+        torch.testing.assert_close(read.weights[name], wanted[name], rtol=0, atol=0, msg=name)
+
+
+def test_a_checkpoint_of_a_bundle_in_eight_bits(
+    tmp_path: Path, exported: Callable[[str], Exported]
+) -> None:
+    """It begins a run, and its weights are those of the network but for the rounding."""
+    made, rounded, file = exported("flowmp"), tmp_path / "rounded", tmp_path / "made.pt"
+    shutil.copytree(made.path, rounded)
+    assert "training.config.model" in failure("checkpoint", rounded, "--out", file)
+    quantize_bundle(rounded)
+    manifest = json.loads((rounded / "manifest.json").read_text())
+    manifest["training"] = {"steps": 7, "config": {"model": asdict(made.network.config)}}
+    (rounded / "manifest.json").write_text(json.dumps(manifest))
+    succeed("checkpoint", rounded, "--out", file)
+    assert load_checkpoint(file).step == 7
+    got = weights_before(str(file), TrainerConfig(model=made.network.config))
+    for name, wanted in made.network.state_dict().items():
+        apart = (got[name] - wanted).abs().max() / wanted.abs().max().clamp(min=1e-3)
+        assert apart < 0.02, name
