@@ -144,31 +144,43 @@ def _number(model: nn.Module) -> dict[str, Tensor]:
 def _matched(ours: onnx.ModelProto, theirs: onnx.ModelProto) -> Iterator[tuple[Array, Array]]:
     """Yield the tensors of two graphs that stand at the same place.
 
-    Those that the exporter names after a parameter have its name in both; the others are matched
-    in the order of their use between them.
+    Those that the exporter names after a parameter have its name in both. The others are matched in
+    the order of their use; so are equal weights, of which a graph holds one under a single name.
     """
-    mine, held = _tensors(ours), _tensors(theirs)
-    yield from ((mine[key], held[key]) for key in mine if key in held and not _is_made(key))
-    orders = [[_shape_of(key) if _is_made(key) else key for key in each] for each in (mine, held)]
-    ordered = [list(each.items()) for each in (mine, held)]
+    uses = [_uses(ours), _uses(theirs)]
+    held = {use.key: use.value for use in uses[1]}
+    orders = [[use.kind for use in each] for each in uses]
     for block in SequenceMatcher(None, *orders, autojunk=False).get_matching_blocks():
         for k in range(block.size):
-            (key, numbers), (_, values) = ordered[0][block.a + k], ordered[1][block.b + k]
-            if _is_made(key):
-                yield numbers, values
+            mine, its = uses[0][block.a + k], uses[1][block.b + k]
+            if not mine.is_named or mine.key not in held:
+                yield mine.value, its.value
+    yield from ((use.value, held[use.key]) for use in uses[0] if use.is_named and use.key in held)
 
 
-def _is_made(key: str) -> bool:
-    """Whether the exporter computed a tensor, whose name is then a number and no path."""
-    return "." not in key.partition(" ")[0]
+@dataclass(frozen=True)
+class _Use:
+    """A tensor as an input of a node.
+
+    kind: operator and shape; path: the tensor's name, within the network if it is a parameter's
+    """
+
+    kind: str
+    path: str
+    value: Array
+
+    @property
+    def key(self) -> str:
+        return f"{self.path} {[*self.value.shape]}"
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the exporter named it after a parameter; what it computed has a number."""
+        return "." in self.path
 
 
-def _shape_of(key: str) -> str:
-    return key.partition(" ")[2]
-
-
-def _tensors(model: onnx.ModelProto) -> dict[str, Array]:
-    """Return a graph's float tensors by "name shape", in the order in which nodes use them.
+def _uses(model: onnx.ModelProto) -> list[_Use]:
+    """Return the float tensors of a graph in the order in which nodes use them.
 
     Eight-bit tensors are given as the floats that they stand for.
     """
@@ -178,15 +190,17 @@ def _tensors(model: onnx.ModelProto) -> dict[str, Array]:
         if node.op_type == "DequantizeLinear" and node.input[0] in held:
             held[node.output[0]] = _dequantised(node, held)
             names[node.output[0]] = node.input[0].removesuffix("_quantized")
-    found: dict[str, Array] = {}
-    used = [node for node in model.graph.node if node.op_type != "DequantizeLinear"]
-    for name in (each for node in used for each in node.input if each in held):
+    uses = []
+    nodes = [each for each in model.graph.node if each.op_type != "DequantizeLinear"]
+    for operator, name in ((each.op_type, name) for each in nodes for name in each.input):
+        if name not in held:
+            continue
         value, path = held[name], names[name]
         while path.startswith("model."):  # an adapter may hold the network within another
             path = path.removeprefix("model.")
         if value.dtype == np.float32 and (value.size > 1 or "." in path):
-            found[f"{path} {[*value.shape]}"] = value
-    return found
+            uses.append(_Use(f"{operator} {[*value.shape]}", path, value))
+    return uses
 
 
 def _dequantised(node: onnx.NodeProto, held: Mapping[str, Array]) -> Array:

@@ -75,7 +75,7 @@ def test_folded_normalisation_is_measured_and_changes_nothing() -> None:
     parts = [part for part in model.modules() if isinstance(part, nn.BatchNorm2d)]
     for part in parts:
         nn.init.normal_(part.bias)
-        part.running_var.fill_(1.0 - part.eps)
+        nn.init.constant_(part.state_dict()["running_var"], 1.0 - part.eps)
     size = TINY_WOTE.backbone
     rng = np.random.default_rng(0)
     batch = {

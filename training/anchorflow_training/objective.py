@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from typing import cast
 
 import numpy as np
 import torch
@@ -77,9 +78,9 @@ def loss_named(name: str | None) -> Loss:
         loss = getattr(import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(f"{said} ({error})") from error
-    if not callable(loss):
-        raise ConfigError(f"{said}, which is no function")
-    return loss
+    if callable(loss):
+        return cast("Loss", loss)
+    raise ConfigError(f"{said}, which is no function")
 
 
 class FlowObjective(nn.Module):

@@ -89,12 +89,14 @@ def folded_normalisation(model: nn.Module) -> list[nn.BatchNorm2d]:
     They change nothing but add their bias, and know no mean and variance.
     """
     parts = [each for each in model.modules() if isinstance(each, nn.BatchNorm2d)]
-    means = [part for part in parts if part.running_mean is not None]
-    return [
-        part
-        for part in means
-        if not part.running_mean.any() and (part.running_var + part.eps == 1).all()
-    ]
+    return [part for part in parts if _changes_nothing(part)]
+
+
+def _changes_nothing(part: nn.BatchNorm2d) -> bool:
+    mean, variance = part.running_mean, part.running_var
+    if mean is None or variance is None:
+        return False
+    return not mean.any() and bool((variance + part.eps == 1).all())
 
 
 @torch.no_grad()
@@ -125,5 +127,4 @@ def measure_normalisation(model: nn.Module, batches: Iterable[Mapping[str, np.nd
         variance = (square - mean.square()).clamp(min=part.eps)
         part.bias.add_(mean)
         part.weight.copy_((variance + part.eps).sqrt())
-        part.running_mean.copy_(mean)
-        part.running_var.copy_(variance)
+        part.load_state_dict({**part.state_dict(), "running_mean": mean, "running_var": variance})
