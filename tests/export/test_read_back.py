@@ -27,7 +27,7 @@ CASES = {
     # Normalisation that has learnt nothing adds 0, which the exporter leaves out.
     "wote": (
         ("occupancy", "future_", "normalization.bias"),
-        ("to_anchor.", "anchor_encoder.", "backbone."),
+        ("to_anchor.", "anchor_", "backbone."),
     ),
     "v2x_vlm": (("decoder.", "projection", "locator", "position_embed"), ()),
 }
