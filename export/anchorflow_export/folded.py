@@ -29,6 +29,7 @@ from anchorflow_service.engine.interfaces import Arrays
 Adapt = Callable[[], PlannerAdapter]
 """Adapts the network as it stands, with the choices of the bundle."""
 
+HORIZON = 3  # of limits
 EVALUATIONS = 400  # of L-BFGS on the encoder of anchors
 
 
@@ -38,6 +39,7 @@ def noise(bundle: Bundle, model: L2SafetyCFM, adapt: Adapt) -> set[str]:
     factor.copy_(torch.eye(len(factor)))
     adapter = adapt()
     inputs = _encode_inputs(bundle, adapter)
+    inputs["limits"][:, HORIZON] = 0.0  # open, or the basis would leave out durations
     own, held = (
         graphs.run("encode", inputs)["prior_basis"][0].astype(np.float64)
         for graphs in (TorchGraphs(adapter.roles), OnnxGraphs(bundle))
@@ -91,7 +93,7 @@ def _encoded_anchors(bundle: Bundle, shape: list[int]) -> np.ndarray:
 def _encode_inputs(bundle: Bundle, adapter: PlannerAdapter) -> Arrays:
     """Return what the graph encode takes of a random scene."""
     given = scene_inputs(adapter, bundle, adapter.trials[0], 0)
-    return {name: np.ascontiguousarray(given[name]) for name in adapter.roles["encode"].inputs}
+    return {name: np.array(given[name]) for name in adapter.roles["encode"].inputs}
 
 
 FOLDED: Mapping[str, Callable[[Bundle, Any, Adapt], set[str]]] = {
