@@ -156,6 +156,18 @@ def test_what_moves_makes_a_narrow_gap_worth_a_detour(scene: Scene) -> None:
     assert replace(narrow, movers=aside, motion=hurried).routes[0].length < 3.2
 
 
+@pytest.mark.parametrize(("speed", "stays"), [(1.3, True), (0.0, False)])
+def test_a_goal_is_clear_if_who_is_there_goes_on_before_another_comes(
+    scene: Scene, speed: float, stays: bool
+) -> None:
+    """One comes from behind and is 0.3 m behind the goal 0.3 s after the robot."""
+    occupancy, goal = np.zeros_like(scene.cost_map), np.array([4.5, 3.5, speed, 0.0])
+    behind = MovingDiscs.of(np.array([[-2.25, 3.5]]), np.array([[1.5, 0.0]]), np.array([0.2]))
+    motion = replace(scene.motion, horizon_s=4.0)
+    free = replace(scene, cost_map=occupancy, x_goal=goal, motion=motion, movers=behind)
+    assert np.array_equal(free.among_movers().x_goal, goal) == stays
+
+
 def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:
     inputs = scene.inputs(SCENE_INPUTS)
     routes = len(scene.routes)

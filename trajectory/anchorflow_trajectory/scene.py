@@ -62,6 +62,8 @@ NUM_STEPS = 64
 # weights are raised to this power beside the cost's own contrast.
 BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
 FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
+FINE_AMONG = 0.075  # m, the same where something moves among walls and a way round is late
+SLACK_SHARE = 0.125  # of a cell, the most slack of a route among what moves
 MOST_CELLS = 512  # a side of a map whose cells were cut
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 DETOUR = 1.5  # times a tight route that a roomy one may be long
@@ -161,12 +163,12 @@ class Scene:
     @cached_property
     def routes(self) -> list[Route]:
         """The cheapest ways round the obstacles, the cheapest first; empty where none is free."""
-        margin = self.certified_margin
-        found = self._found_routes(SLACK + margin)
+        margin, slack = self.certified_margin, self.slack
+        found = self._found_routes(slack + margin)
         if not found and margin > 0.0:  # none can be certified: `safe` says so
-            found, margin = self._found_routes(SLACK), 0.0
+            found, margin = self._found_routes(slack), 0.0
         if found and self.movers is not None and self.occupied.any():
-            found = self._roomy_routes(found, SLACK + margin) or found
+            found = self._roomy_routes(found, slack + margin) or found
         return self._pulled_tight(found, slack=CHORD_SLACK + margin)
 
     def _roomy_routes(self, tight: list[Route], slack: float) -> list[Route]:
@@ -175,13 +177,18 @@ class Scene:
         A gap that is open by less may be closed on the next map, a fraction of a cell further on,
         and who has to turn round among what moves is late.
         """
-        roomy = self._found_routes(slack + self.resolution)
+        roomy = self._found_routes(slack + max(self.resolution, FINE))
         most, horizon = DETOUR * tight[0].length, self.motion.horizon_s
         if horizon is not None:
             dim = len(self.x_goal) // 2
             speeds = (np.linalg.norm(x[dim : dim + 2]) for x in (self.x_curr, self.x_goal))
             most = min(most, self.motion.most_way(horizon, *map(float, speeds)))
         return [route for route in roomy if route.length <= most]
+
+    @property
+    def slack(self) -> float:
+        """m beyond robot_radius that routes keep at the centres of cells, so that a spline can."""
+        return SLACK if self.movers is None else min(SLACK, SLACK_SHARE * self.resolution)
 
     def routes_with(self, slack: float) -> list[Route]:
         """Return the routes that keep `slack` m beyond robot_radius, if any."""
@@ -259,9 +266,13 @@ class Scene:
                 goal_velocity = speed * ahead
             slowest = motion.least_speed(horizon, begin)
             aside = velocity * (slowest / max(begin, TINY))
+            if goal_velocity.any():
+                aside = goal_velocity
             about = start + 0.5 * horizon * (velocity + aside)
             within = motion.most_way(horizon, 0.0)
-        place = place_to_end(goal, start, self.cost_fields, times, about=about, within=within)
+        place = place_to_end(
+            goal, start, self.cost_fields, times, goal_velocity, about=about, within=within
+        )
         if np.array_equal(place, self.x_goal[:2]):
             return self
         if place is not goal:
@@ -395,13 +406,15 @@ class Scene:
         return not self.occupied.flat[cell]
 
 
-def finer_cells(cost_map: FloatArray, resolution: float) -> tuple[FloatArray, float]:
-    """Cut cells of a map [..., H, W] that are larger than FINE; returns it and its resolution [m].
+def finer_cells(
+    cost_map: FloatArray, resolution: float, fine: float = FINE
+) -> tuple[FloatArray, float]:
+    """Cut cells of a map [..., H, W] larger than `fine` m; return it and its resolution [m].
 
     A certified clearance keeps a share of a cell in reserve, which closes ways that are one or two
     coarse cells wide.
     """
-    parts = min(math.ceil(resolution / FINE - ROUNDING), MOST_CELLS // max(cost_map.shape[-2:]))
+    parts = min(math.ceil(resolution / fine - ROUNDING), MOST_CELLS // max(cost_map.shape[-2:]))
     if parts <= 1:
         return cost_map, resolution
     return cost_map.repeat(parts, -2).repeat(parts, -1), resolution / parts

@@ -135,6 +135,20 @@ def test_all_scenes_have_the_same_discs_and_none_without_obstacles(
     assert free.scene.movers is None
 
 
+def test_coarse_cells_are_cut_where_something_moves_among_walls(
+    tiny: Bundle, small_request: Build
+) -> None:
+    track = {"position": [[1.0, 0.5]], "velocity": [[0.0, -1.0]], "radius": [0.3]}
+    walls, found = np.zeros((1, 64, 64), np.float32), {}
+    walls[0, 4:8, 4:8] = 1.0
+    for name, cells in {"open": 0.0 * walls, "walls": walls}.items():
+        for who in (None, track):
+            cost_map = {"data": cells, "resolution": 0.15}
+            (made,) = scenes(small_request(cost_map=cost_map, obstacles=who), tiny)
+            found[name, who is not None] = made.scene.resolution
+    assert found == {key: 0.075 if key == ("walls", True) else 0.15 for key in found}
+
+
 def test_only_what_the_manifest_lists_is_made(tiny: Bundle, small_request: Build) -> None:
     (scene,) = scenes(small_request(), tiny)
     names = tiny.manifest.graphs["encode"].input_names

@@ -44,8 +44,9 @@ RESTART_STEPS, RESTART_RATE = 60, 0.1
 SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the reference time off
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
-DODGE = OptimisationPass(24, RESTART_RATE, slowed_after=True)  # where no anchor is safe
-YIELDS = (0.8, 0.5)  # shares of the route at whose ends anchors wait, if none gets farther
+DODGE = OptimisationPass(60, RESTART_RATE, slowed_after=True)  # where no anchor is safe
+# Shares of the route at whose ends anchors wait or pass, if none gets farther.
+YIELDS = (0.94, 0.88, 0.8, 0.7, 0.6, 0.5)
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 

@@ -146,6 +146,7 @@ def place_to_end(
     start: FloatArray,
     fields: CostFields,
     times: Sequence[float],
+    velocity: FloatArray,
     *,
     about: FloatArray,
     within: float,
@@ -156,10 +157,11 @@ def place_to_end(
     place within MOST_ASIDE is clear and at most `within` m from `about` [2].
 
     fields: of the scene; times: s of arrival, one of which has to do
+    velocity: [2] m/s on arrival
     """
     assert fields.movers is not None
     discs = Discs.of(fields.movers, np.float64)
-    if not len(discs.radius) or _is_clear(discs, goal[None], times).any():
+    if not len(discs.radius) or _is_clear(discs, goal[None], times, velocity).any():
         return goal
     back = np.arctan2(*(start - goal)[::-1])
     turns = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
@@ -167,22 +169,24 @@ def place_to_end(
     reach = np.arange(1, round(MOST_ASIDE / ASIDE) + 1) * ASIDE
     offsets = reach[:, None, None] * np.stack([np.cos(turns), np.sin(turns)], -1)
     places = goal + offsets.reshape(-1, 2)
-    clear = _is_clear(discs, places, times).any(1)
+    clear = _is_clear(discs, places, times, velocity).any(1)
     clear &= fields.clearance.sample(*places.astype(np.float32).T) >= fields.clearance.resolution
     clear &= np.linalg.norm(places - about, axis=-1) <= within
     return places[clear.argmax()] if clear.any() else goal
 
 
-def _is_clear(discs: Discs, places: FloatArray, times: Sequence[float]) -> NDArray[np.bool_]:
+def _is_clear(
+    discs: Discs, places: FloatArray, times: Sequence[float], velocity: FloatArray
+) -> NDArray[np.bool_]:
     """Return whether what moves keeps END_ROOM from places [P, 2] from [Q] times on: [P, Q].
 
-    It looks STAY s ahead: who arrives stands there.
+    It looks STAY s ahead, in which who arrives stands there or goes on at its velocity [2].
     """
     clear = np.ones((len(places), len(times)), np.bool_)
     for q, time in enumerate(times):
         for later in (0.0, 0.5 * STAY, STAY):
             at = np.array([place_at(discs, j, time + later) for j in range(len(discs.radius))])
-            apart = np.linalg.norm(places[:, None] - at, axis=-1) - discs.radius
+            apart = np.linalg.norm(places[:, None] + later * velocity - at, axis=-1) - discs.radius
             clear[:, q] &= (apart - discs.growth * (time + later)).min(1) >= END_ROOM
     return clear
 

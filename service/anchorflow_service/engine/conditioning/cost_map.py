@@ -27,13 +27,20 @@ from anchorflow_service.bundle.manifest import (
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
+from anchorflow_trajectory.cost.clearance import OCCUPIED
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
-from anchorflow_trajectory.routes.search import SLACK
-from anchorflow_trajectory.scene import NETWORK_CHANNELS, SCENE_INPUTS, Scene, finer_cells
+from anchorflow_trajectory.scene import (
+    FINE,
+    FINE_AMONG,
+    NETWORK_CHANNELS,
+    SCENE_INPUTS,
+    Scene,
+    finer_cells,
+)
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 REACH = 2.0
@@ -97,7 +104,10 @@ class CostMapConditioning:
     def _scene(self, request: ResolvedRequest, index: int, movers: MovingDiscs | None) -> Scene:
         """Return a scene of a request."""
         cost_map, limits = request.cost_map, _limits(request)
-        cells, resolution = finer_cells(cost_map.data[index], cost_map.resolution)
+        cells = cost_map.data[index]
+        among = not (movers is None or request.has_body) and (cells[0] >= OCCUPIED).any()
+        fine = FINE_AMONG if among else FINE
+        cells, resolution = finer_cells(cells, cost_map.resolution, fine)
         start, radius = request.x_curr[index], limits.robot_radius
         outline = outline_of(request) if request.has_body else None
         if request.clear_start:
@@ -212,7 +222,7 @@ def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
     cell = cell_index(goal, scene.origin, scene.resolution, clearance.shape)
     if is_free and clearance.flat[cell] >= 0.0 and scene.routes:
         return scene
-    for slack in (SLACK + scene.certified_margin, SLACK):
+    for slack in (scene.slack + scene.certified_margin, scene.slack):
         place = nearest_reachable(
             clearance,
             resolution=scene.resolution,
