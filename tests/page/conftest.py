@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -79,6 +80,7 @@ class Served:
         """Start the process unless it runs; return when it listens."""
         if self._process is not None:
             return
+        compiled()
         self._process = subprocess.Popen(
             [sys.executable, "-u", "-c", SERVE, "--port", str(self.port), *self._options],
             stdout=subprocess.PIPE,
@@ -94,6 +96,12 @@ class Served:
         with self._process:
             self._process.send_signal(signal.SIGINT)
         self._process = None
+
+
+@cache
+def compiled() -> None:
+    """Wait until all loops are on disk: a service that compiles them refuses some requests."""
+    subprocess.run([sys.executable, "-m", "anchorflow_trajectory.warm_up"], check=True)
 
 
 @pytest.fixture(scope="session")

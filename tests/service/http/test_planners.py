@@ -100,7 +100,7 @@ def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
 def wote_planner(factory: pytest.TempPathFactory) -> Planner:
     made = export_once("wote", factory)
     assert max(part.error for part in made.differences) <= 1e-5
-    extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before",)
+    extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before", "route")
     return Planner(made.path, wote_scene, extras, "vocabulary", 8, "guard", optional)
 
 
@@ -382,7 +382,8 @@ def test_the_card_says_what_a_raster_covers(
 def test_an_optional_input_of_open_size_is_refused(planner: Planner, tmp_path: Path) -> None:
     copy = shutil.copytree(planner.path, tmp_path / "open")
     manifest = json.loads((copy / "manifest.json").read_text())
-    manifest["request"]["inputs"][-1]["shape"] = ["B", 1, "H", "W"]
+    inputs = {each["name"]: each for each in manifest["request"]["inputs"]}
+    inputs["lidar_before"]["shape"] = ["B", 1, "H", "W"]
     (copy / "manifest.json").write_text(json.dumps(manifest))
     with pytest.raises(BundleError, match="lidar_before is optional, expected a fixed size"):
         LocalClient.of(copy, threads=1)
@@ -405,4 +406,4 @@ def test_an_earlier_sweep_may_be_left_out(planner: Planner) -> None:
     full = planner.local.plan(inputs={**scenes[0], "lidar_before": sweep + 1})
     assert missing.trajectories.tobytes() == empty.trajectories.tobytes()
     assert np.abs(full.arrays["scores"] - empty.arrays["scores"]).max() > 1e-6
-    assert (missing.absent_inputs, full.absent_inputs) == (("lidar_before",), ())
+    assert (missing.absent_inputs, full.absent_inputs) == (("lidar_before", "route"), ("route",))

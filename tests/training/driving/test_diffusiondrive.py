@@ -300,7 +300,9 @@ def test_training_denoises_as_the_service_does() -> None:
         name: SimpleNamespace(input_names=role.inputs, output_names=role.outputs)
         for name, role in adapter.roles.items()
     }
-    manifest: Any = SimpleNamespace(**vars(adapter.parts), graphs=names)
+    manifest: Any = SimpleNamespace(
+        **vars(adapter.parts), graphs=names, request=SimpleNamespace(inputs=adapter.parts.inputs)
+    )
     sampler = TruncatedDiffusionSampler(manifest, TorchGraphs(adapter.roles), threads=1)
     own = {name: given[name][:1] for name in ("camera", "lidar", "ego_status")}
     count = TINY.anchors * TINY.groups
