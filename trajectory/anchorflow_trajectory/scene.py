@@ -63,7 +63,6 @@ NUM_STEPS = 64
 BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
 FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
 FINE_AMONG = 0.075  # m, the same where something moves among walls and a way round is late
-SLACK_SHARE = 0.125  # of a cell, the most slack of a route among what moves
 MOST_CELLS = 512  # a side of a map whose cells were cut
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 DETOUR = 1.5  # times a tight route that a roomy one may be long
@@ -163,12 +162,12 @@ class Scene:
     @cached_property
     def routes(self) -> list[Route]:
         """The cheapest ways round the obstacles, the cheapest first; empty where none is free."""
-        margin, slack = self.certified_margin, self.slack
-        found = self._found_routes(slack + margin)
+        margin = self.certified_margin
+        found = self._found_routes(SLACK + margin)
         if not found and margin > 0.0:  # none can be certified: `safe` says so
-            found, margin = self._found_routes(slack), 0.0
+            found, margin = self._found_routes(SLACK), 0.0
         if found and self.movers is not None and self.occupied.any():
-            found = self._roomy_routes(found, slack + margin) or found
+            found = self._roomy_routes(found, SLACK + margin) or found
         return self._pulled_tight(found, slack=CHORD_SLACK + margin)
 
     def _roomy_routes(self, tight: list[Route], slack: float) -> list[Route]:
@@ -184,11 +183,6 @@ class Scene:
             speeds = (np.linalg.norm(x[dim : dim + 2]) for x in (self.x_curr, self.x_goal))
             most = min(most, self.motion.most_way(horizon, *map(float, speeds)))
         return [route for route in roomy if route.length <= most]
-
-    @property
-    def slack(self) -> float:
-        """m beyond robot_radius that routes keep at the centres of cells, so that a spline can."""
-        return SLACK if self.movers is None else min(SLACK, SLACK_SHARE * self.resolution)
 
     def routes_with(self, slack: float) -> list[Route]:
         """Return the routes that keep `slack` m beyond robot_radius, if any."""

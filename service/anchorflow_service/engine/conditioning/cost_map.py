@@ -33,6 +33,7 @@ from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
+from anchorflow_trajectory.routes.search import SLACK
 from anchorflow_trajectory.scene import (
     FINE,
     FINE_AMONG,
@@ -222,7 +223,7 @@ def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
     cell = cell_index(goal, scene.origin, scene.resolution, clearance.shape)
     if is_free and clearance.flat[cell] >= 0.0 and scene.routes:
         return scene
-    for slack in (scene.slack + scene.certified_margin, scene.slack):
+    for slack in (SLACK + scene.certified_margin, SLACK):
         place = nearest_reachable(
             clearance,
             resolution=scene.resolution,
