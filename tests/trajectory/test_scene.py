@@ -168,6 +168,17 @@ def test_a_goal_is_clear_if_who_is_there_goes_on_before_another_comes(
     assert np.array_equal(free.among_movers().x_goal, goal) == stays
 
 
+@pytest.mark.parametrize("horizon_s", [None, 4.0])
+def test_a_goal_that_moves_aside_keeps_its_velocity(scene: Scene, horizon_s: float | None) -> None:
+    occupancy, goal = np.zeros_like(scene.cost_map), np.array([4.5, 3.5, 1.3, 0.0])
+    taken = MovingDiscs.of(goal[None, :2], np.zeros((1, 2)), np.array([0.2]))
+    motion = replace(scene.motion, horizon_s=horizon_s)
+    free = replace(scene, cost_map=occupancy, x_goal=goal, motion=motion, movers=taken)
+    moved = free.among_movers().x_goal
+    assert not np.array_equal(moved[:2], goal[:2])
+    np.testing.assert_array_equal(moved[2:], goal[2:])
+
+
 def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:
     inputs = scene.inputs(SCENE_INPUTS)
     routes = len(scene.routes)

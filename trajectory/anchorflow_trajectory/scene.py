@@ -246,9 +246,9 @@ class Scene:
         start, goal, dim = self.x_curr[:2], self.x_goal[:2], len(self.x_goal) // 2
         velocity, goal_velocity = self.x_curr[dim : dim + 2], self.x_goal[dim : dim + 2]
         horizon, motion, route = self.motion.horizon_s, self.motion, self._cheapest
-        about, within, aside = start, np.inf, np.zeros(2)
+        about, within = start, np.inf
         if horizon is None:
-            usual = nominal_duration(self._way, motion)
+            aside, usual = goal_velocity, nominal_duration(self._way, motion)
             times = [usual, *(usual + wait for wait in WAITS)]
         else:
             times, begin = [horizon], float(np.linalg.norm(velocity))
@@ -258,10 +258,8 @@ class Scene:
                 reach = motion.most_way(horizon, begin, speed)
                 goal, ahead = place_along(route.points, reach)
                 goal_velocity = speed * ahead
-            slowest = motion.least_speed(horizon, begin)
-            aside = velocity * (slowest / max(begin, TINY))
-            if goal_velocity.any():
-                aside = goal_velocity
+            slowest = velocity * (motion.least_speed(horizon, begin) / max(begin, TINY))
+            aside = goal_velocity if goal_velocity.any() else slowest
             about = start + 0.5 * horizon * (velocity + aside)
             within = motion.most_way(horizon, 0.0)
         place = place_to_end(
