@@ -179,6 +179,14 @@ def test_a_goal_that_moves_aside_keeps_its_velocity(scene: Scene, horizon_s: flo
     np.testing.assert_array_equal(moved[2:], goal[2:])
 
 
+@pytest.mark.parametrize(("apart", "touched"), [(0.39, True), (0.41, False)])
+def test_a_start_is_touched_within_both_radii(scene: Scene, apart: float, touched: bool) -> None:
+    place = scene.x_curr[None, :2] + [[0.0, apart]]
+    near = MovingDiscs.of(place, np.zeros((1, 2)), np.array([0.2]))
+    free = replace(scene, cost_map=np.zeros_like(scene.cost_map), movers=near)
+    assert free.is_touched == touched
+
+
 def test_inputs_are_float32_with_a_batch_axis(scene: Scene) -> None:
     inputs = scene.inputs(SCENE_INPUTS)
     routes = len(scene.routes)

@@ -289,6 +289,17 @@ class Scene:
         keys = passing_keys(discs, np.ascontiguousarray(plane, np.float32), duration, until)
         return list(zip(found, keys.tolist(), strict=True))
 
+    @property
+    def is_touched(self) -> bool:
+        """Whether something that moves, or a wall, touches the robot at the start already."""
+        fields, start = self.cost_fields, self.x_curr[:2]
+        if float(fields.clearance.sample(*start.astype(np.float32))) < 0.0:
+            return True
+        if fields.movers is None or not len(fields.movers.radius):
+            return False
+        apart = np.linalg.norm(fields.movers.places[:, 0] - start, axis=-1)
+        return bool((apart < fields.movers.radius).any())
+
     def nearer(self, share: float) -> Scene:
         """Return the scene with a goal at a share of the cheapest route and of the goal's speed."""
         dim, x_goal, route = len(self.x_goal) // 2, self.x_goal.copy(), self._cheapest

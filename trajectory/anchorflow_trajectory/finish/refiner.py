@@ -194,6 +194,8 @@ class Refiner:
     def _yielding(self, spec: Refinement, count: int) -> Refined | None:
         """Return anchors that end short of the goal, or else step aside, if one of them is safe."""
         certified = spec.certified_margin
+        if self.scene.is_touched:
+            return None
         finer = self.scene.basis.finer
         for share in (1.0, *YIELDS):
             refiner = self if share == 1.0 else replace(self, scene=self.scene.nearer(share))
