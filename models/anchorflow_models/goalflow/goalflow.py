@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import astuple, fields
 from typing import Any, cast
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -113,8 +114,8 @@ class GoalFlow(nn.Module):
         )
         self.noise_scale = 1.0
         self.register_buffer("vocabulary", _fan(config.goals))
-        stray = torch.linspace(*STRAYS, steps)[:, None] * torch.tensor([1.0, 1.0, 0.05])
-        self.register_buffer("stray", stray)
+        stray = np.linspace(*STRAYS, steps)[:, None] * [1.0, 1.0, 0.05]
+        self.register_buffer("stray", torch.tensor(stray, dtype=torch.float32))
 
     def encode(
         self,
