@@ -8,7 +8,7 @@ plain hybrid A*. Run by `anchorflow bench bodies`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,7 +18,7 @@ import typer
 from numpy.typing import NDArray
 
 from anchorflow_benchmarks import options
-from anchorflow_benchmarks.body_judge import BodyJudge, ahead, sideways
+from anchorflow_benchmarks.body_judge import BodyJudge, ahead, driven, sideways
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_client.contract import AnchorBatch, AnchorRequest, resolve_for_card
 from anchorflow_service.bundle import load_bundle
@@ -203,6 +203,17 @@ def verdicts(found: AnchorBatch, at: Situation) -> NDArray[np.bool_]:
     return np.stack([free, away, drives], 1)
 
 
+def replayed(found: AnchorBatch, at: Situation) -> bool:
+    """Return whether the best anchor, if safe, leads a bicycle to the goal by itself."""
+    best = found.best
+    if not found.safe[best]:
+        return False
+    lasts = float(found.durations[best])
+    end = driven(found.trajectories[best], found.velocities[best], lasts)
+    arrives = np.hypot(*(end[:2] - at.goal[:2])) <= REACHED
+    return bool(arrives and (at.heading is None or abs(turned(end[2:] - at.goal[2])) <= at.heading))
+
+
 def turned(angle: NDArray[np.floating]) -> NDArray[np.floating]:
     """Return angles in rad from -pi to pi."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
@@ -236,9 +247,9 @@ def ask(engine: Engine, fields: Mapping[str, Any]) -> AnchorBatch:
 class OneWay(WaySearch):
     """The cheapest way only, as other planners return it."""
 
-    def find(self, certified: float) -> list[list[Stretch]]:
-        """Return one way."""
-        return super().find(certified)[:1]
+    def find(self, certified: float) -> Iterator[list[list[Stretch]]]:
+        """Yield one way of each search."""
+        return (ways[:1] for ways in super().find(certified))
 
 
 PLAIN = {"WaySearch": OneWay, "SETTLING": 0, "LONG": 0, "WIDE": 0.0, "YIELDS": ((0.0, 1.0),)}
@@ -272,24 +283,28 @@ def row_of(name: str, engine: Engine, situations: list[Situation], num: int) -> 
     """Return a planner's figures.
 
     any: share of the situations with an anchor called safe that is free, arrives and can be driven
+    replayed: of a car, share whose best anchor is safe and drives a bicycle to the goal, open loop
     success, free, arrives, drivable: shares of the anchors
     touching: anchors called safe that are not free; lies: those, and those that cannot be driven
     ms: median of a plan
     """
-    shares, touching, lies, spent = [], 0, 0, []
+    shares, touching, lies, spent, open_loop = [], 0, 0, [], []
     for seed, at in enumerate(situations):
         began = time.perf_counter()
         found = PLANNERS[name](engine, at, num, seed)
         spent.append(1e3 * (time.perf_counter() - began))
         kept = verdicts(found, at)
         good = kept.all(1)
+        if at.kinematics["kind"] == "ackermann":
+            open_loop.append(replayed(found, at))
         touching += int((found.safe & ~kept[:, 0]).sum())
         lies += int((found.safe & ~(kept[:, 0] & kept[:, 2])).sum())
         shares.append([(good & found.safe).any(), good.mean(), *kept.mean(0)])
     names = ("any", "success", "free", "arrives", "drivable")
     figures = dict(zip(names, np.mean(shares, axis=0).tolist(), strict=True))
-    counted = {"touching": touching, "lies": lies}
-    return {"planner": name, **figures, **counted, "ms": float(np.median(spent))}
+    counted = {"touching": touching, "lies": lies, "ms": float(np.median(spent))}
+    cars = {"replayed": float(np.mean(open_loop))} if open_loop else {}
+    return {"planner": name, **figures, **counted, **cars}
 
 
 def bodies(

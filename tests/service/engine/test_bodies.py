@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from asked_engine import plan
 
+from anchorflow_benchmarks import bodies
 from anchorflow_benchmarks.body_judge import BodyJudge, ahead, driven, sideways
 from anchorflow_client.contract import AnchorBatch, AnchorRequest
 from anchorflow_client.errors import InvalidRequest
@@ -144,6 +145,30 @@ def test_a_car_parks_backwards_and_can_be_driven_open_loop(engine: Engine, aside
     assert (speed[[0, -1]] < 1e-6).all()
     end = driven(path, velocity, float(anchors.durations[best]))
     np.testing.assert_allclose(end, goal, atol=0.05)
+
+
+@pytest.mark.parametrize("seed", [2, 5, 18])
+def test_a_car_parks_in_a_gap_and_parks_on_while_it_moves(engine: Engine, seed: int) -> None:
+    at = bodies.parking(np.random.default_rng([seed, 7]))
+    anchors = plan(engine, AnchorRequest.build(**at.fields(16, 0)))
+    best = anchors.best
+    path, velocity = anchors.trajectories[best], anchors.velocities[best]
+    assert bodies.verdicts(anchors, at)[best].all()
+    assert anchors.safe[best]
+    speed = ahead(path, velocity)
+    cusps = np.flatnonzero(np.diff(np.sign(np.where(np.abs(speed) > 0.02, speed, 0.0))))
+    assert len(cusps)
+    end = driven(path, velocity, float(anchors.durations[best]))
+    np.testing.assert_allclose(end, at.goal, atol=0.05)
+    assert float(anchors.durations[best]) < 10.0  # no loop round the block
+
+    t = 8
+    state = [*path[t], *velocity[t], *anchors.accelerations[best, t]]
+    moving: dict[str, Any] = {**at.fields(16, 0), "x_curr": state}
+    on = plan(engine, AnchorRequest.build(**moving))
+    assert on.safe.any()
+    first = on.velocities[on.safe, 0]
+    np.testing.assert_allclose(first, [velocity[t]] * len(first), atol=0.05)
 
 
 BAY = walls((-2.9, 2.9, -0.4, 2.0), (-0.55, 0.55, -1.3, 0.0))

@@ -51,7 +51,7 @@ def way_between(
     way, _ = find_way(
         ground, outline.corners, outline.reach, moves_of(wheels, cell=CELL, v_max=1.0, a_max=1.5),
         CELL, Guide(left, -3.0, -3.0, 0.2), NOWHERE, np.array(start), STANDING, 0.0,
-        Target(np.array(goal), heading), 2000,
+        Target(np.array(goal), heading, STANDING, 0.0), 2000,
     )  # fmt: skip
     return way
 

@@ -75,16 +75,20 @@ class BodyPlanner:
         return self._joined(driven, numbers)
 
     def _lines(self, certified: float) -> list[_Line]:
-        """Return the lines of the ways."""
-        ways = WaySearch(self.problem, self.run).find(certified)
-        lines = [_Line.empty(way) for way in ways]
+        """Return the lines of the ways of the first search of which one is safe."""
+        unsafe: list[_Line] = []
+        for ways in WaySearch(self.problem, self.run).find(certified):
+            lines = [_Line.empty(way) for way in ways]
 
-        def lay(k: int) -> None:
-            lines[k] = self._line(ways[k], certified)
+            def lay(k: int, ways: list[list[Stretch]] = ways, lines: list[_Line] = lines) -> None:
+                lines[k] = self._line(ways[k], certified)
 
-        self.run([partial(lay, k) for k in range(len(ways))])
-        # A way whose own curve touches something gets no anchors while another does not.
-        return [line for line in lines if line.safe] or lines
+            self.run([partial(lay, k) for k in range(len(ways))])
+            # A way whose own curve touches something gets no anchors while another does not.
+            if safe := [line for line in lines if line.safe]:
+                return safe
+            unsafe = unsafe or lines
+        return unsafe
 
     def _past_movers(
         self, lines: list[tuple[BodyPlanner, _Line]], certified: float

@@ -83,6 +83,16 @@ class BodyScene:
                         return pose
         return goal
 
+    def room_at(self, pose: FloatArray) -> float:
+        """Return about m from the outline at a pose [3] to what is occupied, or the map's edge."""
+        x, y = self.body.outline.rim(2.0 * self.scene.resolution).T
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        points = np.stack([cosine * x - sine * y, sine * x + cosine * y], 1) + pose[:2]
+        cells = ((points - self.scene.origin) / self.scene.resolution).astype(np.intp)
+        height, width = self.ground.room.shape
+        cells = np.clip(cells, 0, [width - 1, height - 1])
+        return float(self.ground.room[cells[:, 1], cells[:, 0]].min())
+
     @property
     def first_speed(self) -> float:
         """m/s along the heading; a robot on wheels has no other. Who slides has it any way."""

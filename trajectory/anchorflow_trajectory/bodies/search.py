@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.bodies.outline import Ground, touches
 from anchorflow_trajectory.bodies.shots import Target, direct_way
-from anchorflow_trajectory.bodies.wheels import Moves
+from anchorflow_trajectory.bodies.wheels import STANDING, Moves
 from anchorflow_trajectory.compiled import compiled
 
 GREED = 1.4  # factor on what is left
@@ -25,7 +25,8 @@ LEAST_TABLE = 1 << 10  # places for poses, a power of two
 MOST_NODES = 60_000
 ROWS, BINS = 1 << 20, 128  # bounds of what a key holds
 NEAR = 3.0  # m from the goal within which it is tried directly
-FURTHER = 300  # poses expanded after a first way
+FURTHER, MUCH_FURTHER = 300, 2500  # poses expanded after a first way, and after a long one
+LONG = 1.5  # times what a way seems to cost at least; such a loop may be saved by reversing
 SHOT_EVERY = 3  # poses near the goal
 EMPTY = -1
 
@@ -95,10 +96,10 @@ def find_way(
         surcharge: [H, W] >= 0 of the ground, m of detour that a metre is worth; or [0, 0].
         gear: in which the robot moves at the start, or STANDING.
         braking: m that it needs to stop at the start.
-        most: poses to expand.
+        most: poses to expand until a first way is found.
     """
     spans = np.empty((2, ground.room.shape[0]))
-    size = min(MOST_NODES, (most + 1) * (len(moves.gears) + 1))
+    size = min(MOST_NODES, (most + MUCH_FURTHER + 1) * (len(moves.gears) + 1))
     nodes = Nodes(
         np.empty((size, 3)),
         np.empty(size),
@@ -142,9 +143,13 @@ def find_way(
             stays = nodes.driven[node] >= braking or (
                 len(shot) > 0 and shot[0, 3] == nodes.gears[node]
             )
+            stays &= _arrives(shot, at, target)
             if len(shot) and stays and nodes.costs[node] + cost < best_cost:
+                long = nodes.costs[node] + cost > LONG * heap_cost[0]
+                long &= moves.reverse and waiting > 0
+                later = expanded + (MUCH_FURTHER if long else FURTHER)
+                enough = later if best_node < 0 else min(enough, later)
                 best, best_cost, best_node = shot, nodes.costs[node] + cost, node
-                enough = min(enough, expanded + FURTHER)
         count, waiting = _expand(
             ground, corners, reach, moves, cell, guide, surcharge, braking, spans,
             nodes, node, count, keys, held, heap_cost, heap_node, waiting,
@@ -152,6 +157,16 @@ def find_way(
     if best_node < 0:
         return best, expanded
     return _walked(nodes, best_node, moves, best), expanded
+
+
+@compiled
+def _arrives(shot: FloatArray, at: FloatArray, target: Target) -> bool:
+    """Whether a shot [P, 4] from a pose ends in the target's gear, after a way long enough."""
+    if target.gear == STANDING or not len(shot):
+        return True
+    return shot[-1, 3] == target.gear and (
+        np.hypot(at[0] - target.pose[0], at[1] - target.pose[1]) >= target.braking
+    )
 
 
 @compiled

@@ -23,10 +23,15 @@ LEAST_SLIDE = 0.2  # m of way that a rad of turning takes while sliding
 
 
 class Target(NamedTuple):
-    """Where ways end: a pose [3], whose heading may not count."""
+    """Where ways end: a pose [3], whose heading may not count.
+
+    gear: the last, or STANDING for any; braking: m that the last gear is driven for at least
+    """
 
     pose: FloatArray
     heading: bool
+    gear: int
+    braking: float
 
 
 @compiled
@@ -66,8 +71,8 @@ def _turns_and_line(
     legs, found = np.empty((3, 2)), np.empty((0, 4))
     turns_last = target.heading and not moves.spot
     for way in range(2 if moves.reverse else 1):
-        sign = 1.0 - 2.0 * way
-        price = 1.0 if sign > 0.0 else BACKWARDS
+        sign = moves.forward * (1.0 - 2.0 * way)
+        price = BACKWARDS if way else 1.0
         for word in range(4 if turns_last else 2):
             first = 1.0 if word % 2 == 0 else -1.0
             last = first if word < 2 else -first

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -16,7 +16,15 @@ from anchorflow_trajectory.bodies.motion import COLUMNS, tabulate
 from anchorflow_trajectory.bodies.scene import BodyScene
 from anchorflow_trajectory.bodies.search import Guide, find_way, guide_along
 from anchorflow_trajectory.bodies.shots import Target
-from anchorflow_trajectory.bodies.wheels import BACKWARD, SLIDING, TURNING, moves_of
+from anchorflow_trajectory.bodies.wheels import (
+    BACKWARD,
+    FORWARD,
+    SLIDING,
+    STANDING,
+    TURNING,
+    moves_of,
+)
+from anchorflow_trajectory.caching import cached_property
 from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.spline.basis import DEGREE, SplineBasis, spline_basis
 
@@ -79,16 +87,22 @@ class WaySearch:
     problem: BodyScene
     run: Run
 
-    def find(self, certified: float) -> list[list[Stretch]]:
-        """Return the ways on which the body fits, the cheapest first; at least one."""
+    def find(self, certified: float) -> Iterator[list[list[Stretch]]]:
+        """Yield ways on which the body fits, the cheapest first, until some can be driven.
+
+        Each list is of a finer search than the one before. Where none finds a way, the only list is
+        a way that the body does not fit through.
+        """
         # Both are worked out here, side by side, and not by each search anew.
         self.run([lambda: self.problem.scene.routes, lambda: self.problem.goal])
-        routes = self.problem.scene.routes[:MOST_WAYS]
+        routes, any_found = self.problem.scene.routes[:MOST_WAYS], False
         for margin, finer, spare in TRIES:
             cell = finer * self.problem.cell
             if ways := self._different(self._searched(routes, margin + certified, cell, spare)):
-                return [self._stretches(way) for way in ways]
-        return [self._stretches(self._along(routes))]
+                yield [self._stretches(way) for way in ways]
+                any_found = True
+        if not any_found:
+            yield [self._stretches(self._along(routes))]
 
     def _searched(
         self, routes: Sequence[Route], margin: float, cell: float, spare: float
@@ -97,20 +111,73 @@ class WaySearch:
         found = [np.empty((0, 4))] * len(routes)
 
         def search(k: int) -> None:
-            most = FEWER_POSES if k else MOST_POSES
-            found[k] = self._search(routes[k], margin, cell, spare, most)
+            for turn, back in enumerate(self.ends, 1):
+                most = FEWER_POSES if k or turn < len(self.ends) else MOST_POSES
+                found[k] = self._search(routes[k], margin, cell, spare, most, back=back)
+                if len(found[k]):
+                    return
 
         self.run([partial(search, k) for k in range(len(routes))])
         return [way for way in found if len(way) > 1]
 
+    @cached_property
+    def ends(self) -> tuple[bool, ...]:
+        """Whether searches begin at the goal: first at the end where the body has less room.
+
+        What is hard about a way is near that end, and beyond it the other is soon reached.
+        """
+        problem = self.problem
+        if not problem.heading_counts:
+            return (False,)
+        room, most = problem.room_at(problem.goal), 0.5 * problem.body.outline.reach
+        tighter = room < min(problem.room_at(problem.start), most)
+        return tighter, not tighter
+
     def _search(
-        self, route: Route, margin: float, cell: float, spare: float, most: int
+        self,
+        route: Route,
+        margin: float,
+        cell: float,
+        spare: float,
+        most: int,
+        *,
+        back: bool,
     ) -> NDArray[np.float64]:
-        """Return a way [P, 4] along a route, or an empty one."""
-        scene, lead = self.problem.scene, self.problem.lead
+        """Return a way [P, 4] along a route, or an empty one; back: searched from the goal."""
+        scene, lead, gear = self.problem.scene, self.problem.lead, self.problem.first_gear
+        braking = 0.0 if len(lead) > 1 else self.problem.braking
         outline = self.problem.body.outline.grown(margin)
+        start, goal = lead[-1], self.problem.goal
+        target = Target(goal, self.problem.heading_counts, STANDING, 0.0)
+        if back:
+            start, target = goal, Target(start, True, _reversed(gear), braking)
+            gear, braking = STANDING, 0.0
         motion = scene.motion
-        origin = np.asarray(scene.origin, np.float64)
+        moves = moves_of(
+            self.problem.body.wheels,
+            cell=cell,
+            v_max=motion.v_max,
+            a_max=motion.a_max,
+            spare=spare,
+            back=back,
+        )
+        dear = scene.surcharge
+        way, _ = find_way(
+            self.problem.ground, outline.corners, outline.reach, moves, cell,
+            self._guide(route, cell, back=back),
+            np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
+            start, gear, braking, target, most,
+        )  # fmt: skip
+        if back and len(way):
+            way = _turned_round(way, target.pose[2])
+        if len(lead) < 2 or not len(way):
+            return way
+        return np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way], dtype=np.float64)
+
+    def _guide(self, route: Route, cell: float, *, back: bool) -> Guide:
+        """Return what is left of a way along a route, to the goal or back to the start."""
+        scene = self.problem.scene
+        corner = np.asarray(scene.origin, np.float64)
         size = np.array(scene.occupied.shape) * scene.resolution
         fine = max(2.0 * cell, float(size.max()) / GUIDE_CELLS)
         legs = np.hypot(*np.diff(route.points, axis=0).T)
@@ -118,31 +185,8 @@ class WaySearch:
         at = np.linspace(0.0, marks[-1], max(2, int(marks[-1] / max(GUIDE_STEP, fine))))
         points = np.stack([np.interp(at, marks, axis) for axis in route.points.T], 1)
         shape = (int(np.ceil(size[0] / fine)), int(np.ceil(size[1] / fine)))
-        left = guide_along(points, marks[-1] - at, shape, origin, fine)
-        dear = scene.surcharge
-        way, _ = find_way(
-            self.problem.ground,
-            outline.corners,
-            outline.reach,
-            moves_of(
-                self.problem.body.wheels,
-                cell=cell,
-                v_max=motion.v_max,
-                a_max=motion.a_max,
-                spare=spare,
-            ),
-            cell,
-            Guide(left, float(origin[0]), float(origin[1]), fine),
-            np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
-            lead[-1],
-            self.problem.first_gear,
-            0.0 if len(lead) > 1 else self.problem.braking,
-            Target(self.problem.goal, self.problem.heading_counts),
-            most,
-        )
-        if len(lead) < 2 or not len(way):
-            return way
-        return np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way], dtype=np.float64)
+        left = guide_along(points, at if back else marks[-1] - at, shape, corner, fine)
+        return Guide(left, float(corner[0]), float(corner[1]), fine)
 
     def _different(self, ways: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return the ways that differ in the sides or gears they take, the shortest first."""
@@ -212,3 +256,16 @@ class WaySearch:
                 held, last = KEPT + (bend is not None), LAST if fixed_end else 1
             stretches.append(Stretch(gear, poses, basis, control, held, last))
         return stretches
+
+
+def _reversed(gear: int) -> int:
+    """Return the gear of a motion that is run backwards in time."""
+    return -gear if gear in (FORWARD, BACKWARD) else gear
+
+
+def _turned_round(way: NDArray[np.float64], heading: float) -> NDArray[np.float64]:
+    """Return a way [P, 4] from its end to its start; heading: rad, of the end."""
+    turned = way[::-1].copy()
+    turned[1:, 3] = [_reversed(int(gear)) for gear in way[:0:-1, 3]]
+    turned[:, 2] += heading - turned[0, 2]
+    return turned

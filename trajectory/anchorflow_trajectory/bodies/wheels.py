@@ -43,6 +43,7 @@ class Moves(NamedTuple):
     costs: [M] m; stop: m, what a change of gear costs; spin: m, what a rad on the spot costs
     radius: m of the turns to a goal
     bins: headings that a search tells apart
+    forward: the gear in which the robot drives forwards, -1 in a search from the goal back
     """
 
     poses: NDArray[np.float64]
@@ -56,14 +57,22 @@ class Moves(NamedTuple):
     spot: bool
     slides: bool
     bins: int
+    forward: int
 
 
 def moves_of(
-    wheels: Wheels, *, cell: float, v_max: float, a_max: float, spare: float = 1.0
+    wheels: Wheels,
+    *,
+    cell: float,
+    v_max: float,
+    a_max: float,
+    spare: float = 1.0,
+    back: bool = False,
 ) -> Moves:
     """Return the short motions for a search with cells of `cell` m.
 
     spare: factor on the radius of the tightest turn
+    back: whether the search starts at the goal; each gear is then that of the reversed motion
     """
     step = STEP * cell
     softest, hardest = SOFT_TURN / step, HARD_TURN / step
@@ -78,11 +87,12 @@ def moves_of(
             for k in range(SLIDES)
             for turn in (0.0, SOFT_TURN, -SOFT_TURN)
         ]
-    driven = (FORWARD, BACKWARD) if wheels.reverse else (FORWARD,)
+    forward = BACKWARD if back else FORWARD
+    driven = (forward, -forward) if wheels.reverse else (forward,)
     for gear in () if wheels.slides else driven:
         for bend in (0.0, softest, -softest, hardest, -hardest):
             way = gear * step * shares
-            cost = step * (BACKWARDS if gear == BACKWARD else 1.0) + BEND * abs(bend) * step
+            cost = step * (1.0 if gear == forward else BACKWARDS) + BEND * abs(bend) * step
             found.append((arc(way, bend), gear, step, cost))
     if wheels.spot:
         for turn in (SOFT_TURN, -SOFT_TURN):
@@ -102,6 +112,7 @@ def moves_of(
         wheels.spot,
         wheels.slides,
         round(2.0 * np.pi / BIN),
+        forward,
     )
 
 
