@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from golden_file import golden
 from staged_planner import made_batch
 
 from anchorflow_client import (
@@ -23,24 +23,19 @@ from anchorflow_client import (
 from anchorflow_client.oip_message import pack
 
 CODEC = OipCodec()
-GOLDEN = Path(__file__).parent / "golden"
 F32, F64 = np.float32, np.float64
 
 
-def golden(name: str, config: dict[str, Any], written: Payload) -> Payload:
-    """The payload of a golden file, which holds the config that made it.
-
-    With ANCHORFLOW_WRITE_GOLDEN set the file is written instead.
-    """
-    path = GOLDEN / f"{name}.json"
-    if "ANCHORFLOW_WRITE_GOLDEN" in os.environ:
-        text = written.body.hex()
-        lines = [text[i : i + 96] for i in range(0, len(text), 96)]
-        value = {"config": config, "header_length": written.header_length, "hex": lines}
-        path.write_text(json.dumps(value, indent=1) + "\n")
-    value = json.loads(path.read_text())
+def recorded(name: str, config: dict[str, Any], written: Payload) -> Payload:
+    """The payload of a golden file, which holds the config that made it."""
+    made = {
+        "config": config,
+        "header_length": written.header_length,
+        "hex": written.body.hex(),
+    }
+    value = golden(Path(__file__).parent / "golden" / f"{name}.json", made)
     assert value["config"] == config
-    return Payload(bytes.fromhex("".join(value["hex"])), value["header_length"])
+    return Payload(bytes.fromhex(value["hex"]), value["header_length"])
 
 
 REQUEST_CONFIG = {
@@ -100,7 +95,7 @@ def golden_answer(config: dict[str, Any]) -> AnchorBatch:
 )
 def test_a_request_has_the_golden_bytes(name: str, config: dict[str, Any]) -> None:
     written = CODEC.encode_request(golden_request(config))
-    expected = golden(name, config, written)
+    expected = recorded(name, config, written)
 
     assert written == expected
     assert CODEC.encode_request(CODEC.decode_request(expected)) == expected
@@ -112,7 +107,7 @@ def test_a_request_has_the_golden_bytes(name: str, config: dict[str, Any]) -> No
 )
 def test_an_answer_has_the_golden_bytes(name: str, config: dict[str, Any]) -> None:
     written = CODEC.encode_answer(golden_answer(config))
-    expected = golden(name, config, written)
+    expected = recorded(name, config, written)
 
     assert written == expected
     assert CODEC.encode_answer(CODEC.decode_answer(expected)) == expected

@@ -50,9 +50,10 @@ GOALFLOW = GoalFlowConfig(
     layers=1,
     outcomes=True,
 )
-# Of two sweeps of the LiDAR.
+# Of two sweeps of the LiDAR; its rollout is unrolled too.
 WOTE = replace(
     tiny_wote.TINY,
+    num_steps=3,
     kept=5,
     driven=True,
     backbone=replace(tiny_wote.TINY.backbone, lidar_before=True),

@@ -13,13 +13,13 @@ written instead. The manifest's hash and the times are left out of the compariso
 from __future__ import annotations
 
 import json
-import os
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from golden_file import golden
 from served import TRANSPORTS, in_process, on_zenoh, sent_over_http, sent_over_zenoh
 
 from anchorflow_client import AnchorRequest, JsonCodec, OipCodec, Payload
@@ -29,7 +29,6 @@ from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService
 
 GOLDEN = Path(__file__).parent / "golden"
-WRITES = "ANCHORFLOW_WRITE_GOLDEN" in os.environ
 ARRAYS = ("trajectories", "velocities", "accelerations", "scores", "clearance", "safe")
 
 REST = [0.0, 0.0]
@@ -67,15 +66,12 @@ def asked(name: str) -> AnchorRequest:
 
 def recorded(name: str, form: str, came: dict[str, Any]) -> dict[str, Any]:
     """Read a recorded answer; skip on machines that cannot reproduce its bytes."""
-    path = GOLDEN / f"{name}.{form}.json"
     here = {"request": REQUESTS[name], "machine": machine()}
-    if WRITES:
-        path.write_text(json.dumps(here | {"answer": came}, indent=1) + "\n")
-    found = json.loads(path.read_text())
+    found = golden(GOLDEN / f"{name}.{form}.json", here | came)
     assert found["request"] == here["request"]
     if found["machine"] != here["machine"]:
         pytest.skip(f"the golden answers were made with {found['machine']}")
-    return found["answer"]
+    return {key: found[key] for key in came}
 
 
 def machine() -> dict[str, str]:
@@ -120,9 +116,7 @@ def in_binary(answer: Payload) -> dict[str, Any]:
     header, data = unpack_header(answer)
     leaves = {k: v for k, v in header["parameters"].items() if not k.startswith("timing_ms")}
     del leaves["model.sha256"]
-    text = bytes(data).hex()
-    lines = [text[i : i + 96] for i in range(0, len(text), 96)]
-    return {"header": {**header, "parameters": leaves}, "hex": lines}
+    return {"header": {**header, "parameters": leaves}, "hex": bytes(data).hex()}
 
 
 @pytest.mark.parametrize("name", REQUESTS)

@@ -159,7 +159,7 @@ def test_no_route_drowns_in_another(good_of_routes: tuple[int, ...], expected: l
 
 def test_every_route_of_a_scene_is_in_the_data(tmp_path: Path) -> None:
     """Where each has good tries, their numbers differ by one at most."""
-    make_dataset(tmp_path, replace(CONFIG, scenes=12, seed=11), workers=2)
+    make_dataset(tmp_path, replace(CONFIG, scenes=12, seed=11), workers=1)
     scenes = open_dataset(tmp_path).batch(np.arange(12))
     even = 0
     for routes, followed in zip(scenes["route_states"], scenes["route"], strict=True):

@@ -5,7 +5,6 @@ Scene i depends on the seed and on i alone, so the bytes do not depend on the nu
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -16,6 +15,7 @@ import numpy as np
 
 from anchorflow_training.dataset import Row, create_arrays, scene_row, write_meta
 from anchorflow_training.expert import ExpertConfig, chosen_by_route, solve
+from anchorflow_training.processes import mapper
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
 from anchorflow_trajectory.motion import MotionLimits
@@ -66,8 +66,8 @@ def make_dataset(
     """
     arrays, families, unsolved, shares = None, Counter(), Counter(), []
     tasks = ((config, i) for i in range(config.scenes))
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        for index, record in enumerate(pool.imap(_solved_scene, tasks, chunksize=8)):
+    with mapper(workers) as mapped:
+        for index, record in enumerate(mapped(_solved_scene, tasks)):
             if arrays is None:
                 shapes = {n: (config.scenes, *a.shape) for n, a in record.row.items()}
                 arrays = create_arrays(path, shapes)

@@ -101,7 +101,7 @@ def wote_planner(factory: pytest.TempPathFactory) -> Planner:
     made = export_once("wote", factory)
     assert max(part.error for part in made.differences) <= 1e-5
     extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before", "route")
-    return Planner(made.path, wote_scene, extras, "vocabulary", 8, "guard", optional)
+    return Planner(made.path, wote_scene, extras, "vocabulary", WOTE.num_steps, "guard", optional)
 
 
 PLANNERS = {"camera": camera_planner, "goalflow": goalflow_planner, "wote": wote_planner}

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from anchorflow_training.dataset import (
     shrink_arrays,
     write_meta,
 )
+from anchorflow_training.processes import mapper
 from anchorflow_trajectory.finish.certificate import path_clearance
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
@@ -261,7 +260,7 @@ def import_scenes(
     left_out: Counter[str] = Counter(not_finite=len(dataset.left_out))
     left_out.update(missed_ends=0, off_map=0, collision=0, low_quality=0)
     arrays, written = None, 0
-    with _mapper(workers) as mapped:
+    with mapper(workers) as mapped:
         for sources in _sources(dataset, config, limits, left_out, BLOCK * workers, progress):
             for scene in mapped(imported_scene, sources):
                 if isinstance(scene, str):
@@ -368,15 +367,6 @@ def _ranges(dataset: TrajectoryDataset) -> dict[str, tuple[float, float]]:
     if durations is None or dataset.horizon_s is not None:
         return {}
     return {"horizon_s": (float(durations.min()), float(durations.max()))}
-
-
-@contextmanager
-def _mapper(workers: int) -> Iterator[Callable[..., Any]]:
-    if workers == 1:
-        yield map
-        return
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield pool.map
 
 
 def _over_limits(dataset: TrajectoryDataset, limits: MotionLimits) -> int:
