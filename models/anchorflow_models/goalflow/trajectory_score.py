@@ -145,17 +145,11 @@ def met(own: Driven, around: Surroundings, config: GoalFlowConfig) -> Tensor:
     poses, speed = own
     layer = torch.arange(poses.shape[-2], device=poses.device) + 1
     last = around.occupied.shape[1] - 1
-    looks = [
-        _hits(
-            _moved(poses, speed * seconds),
-            (layer + round(max(seconds, 0.0) / config.dt)).clamp(max=last),
-            around,
-            config,
-        )
-        for seconds in LOOKS_S
-    ]
+    looks = torch.cat([_moved(poses, speed * seconds) for seconds in LOOKS_S], -2)
+    layers = [layer + round(max(seconds, 0.0) / config.dt) for seconds in LOOKS_S]
+    hits = _hits(looks, torch.cat(layers).clamp(max=last), around, config)
     wide = replace(around, size=around.size + torch.tensor(WIDER, device=poses.device))
-    return torch.cat([*looks, _hits(poses, layer, wide, config)], -1)
+    return torch.cat([hits, _hits(poses, layer, wide, config)], -1)
 
 
 def trajectory_scores(

@@ -103,6 +103,7 @@ def ways_along(
     """
     heading = _headings(route)
     normal = torch.stack([-heading.sin(), heading.cos()], -1)
+    track = torch.cat([route, normal], -1)
     allowed = _allowed(heading)
     halts = [(0.0, braking, 0.0) for braking in HALTINGS]
     on_it, *beside_it = ([(pace, SLOWING, aside) for pace in PACES] for aside in ASIDE)
@@ -117,7 +118,8 @@ def ways_along(
         away = (route[:, None] - torch.stack([x, y], -1)[:, :, None]).square().sum(-1)
         nearest = away.argmin(-1)
         ahead = (LOOKS_S * now).clamp(min=NEAREST) / ROUTE_SPACING_M
-        aim = _at(route, nearest, ahead) + aside[:, None] * _at(normal, nearest, ahead)
+        point, across = _at(track, nearest, ahead).split(2, -1)
+        aim = point + aside[:, None] * across
         dx, dy = aim[..., 0] - x, aim[..., 1] - y
         left = dy * turned.cos() - dx * turned.sin()
         steered = 2 * left / (dx.square() + dy.square()).clamp(min=1.0)
@@ -178,7 +180,7 @@ def _allowed(heading: Tensor) -> Tensor:
 
 
 def _at(values: Tensor, first: Tensor, ahead: Tensor) -> Tensor:
-    """Return values [B, P, 2] at points [B, W] ahead of the first [B, W]: [B, W, 2]."""
+    """Return values [B, P, F] at points [B, W] ahead of the first [B, W]: [B, W, F]."""
     place = (first + ahead).clamp(max=ROUTE_POINTS - 1 - _LEAST)
     low = place.floor()
     share = (place - low)[..., None]
