@@ -16,10 +16,13 @@ COMMA := ,
 define install_and_compile
 	@echo "Installing $(1) into $(VENV): $(2) on two cores, once"
 	@$(PIP) install --no-compile numba
-	@PYTHONPATH=trajectory $(BIN)/python -m anchorflow_trajectory.warm_up $(3) & loops=$$!; \
+	@{ PYTHONPATH=trajectory $(BIN)/python -m anchorflow_trajectory.warm_up $(3) $(4); } & loops=$$!; \
 	echo "Installing what is missing, and compiling meanwhile" && \
 	$(PIP) install --no-compile $(1) && echo "Installed." && wait $$loops
 endef
+
+# The controller's loops as well: several processes of tests would compile them at the same time.
+COMPILE_CONTROLLER := && PYTHONPATH=trajectory:client:control $(BIN)/python -m anchorflow_control.warm_up
 
 .DEFAULT_GOAL := help
 .PHONY: help serve toolkit test lint format bench docs walkthrough image clean
@@ -88,5 +91,5 @@ $(VENV)/.docs: pyproject.toml $(VENV)/.created
 $(VENV)/.dev: pyproject.toml $(VENV)/.created
 	@echo "Installing $(TORCH)"
 	@$(PIP) install '$(TORCH)'
-	$(call install_and_compile,--editable '.[dev]',two to three minutes)
+	$(call install_and_compile,--editable '.[dev]',two to three minutes,,$(COMPILE_CONTROLLER))
 	@touch $@

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.contract import CostMap
 from anchorflow_client.planner import AnchorSource, Plan, Planner
 from anchorflow_client.planner.request import at_the_state
 from anchorflow_control import MppiController, Robot
@@ -90,12 +89,6 @@ class Driver:
     def close(self) -> None:
         """Send no more requests."""
         self.planner.close()
-
-    def warm_up(self) -> None:
-        """Compile the controller's loops, which would make the first tick seconds late."""
-        clear = CostMap.build(np.zeros((1, 64, 64), np.float32), 0.1)
-        self._controller.command(np.zeros(5), cost_map=clear, goal=[2.0, 0.0])
-        self._controller.reset()
 
     def tick(self, now: float, *, steady: float) -> Decision:
         """Return what to do until the next tick.

@@ -34,6 +34,7 @@ from visualization_msgs.msg import MarkerArray
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.errors import AnchorFlowError
+from anchorflow_control.warm_up import compile_loops
 from anchorflow_ros.driver import Decision, Driver
 from anchorflow_ros.faults import OK, WARN, Fault
 from anchorflow_ros.frames import StaticFrames
@@ -99,7 +100,7 @@ class AnchorFlowNode(LifecycleNode):
                 self.get_logger().error(str(error))
                 return TransitionCallbackReturn.FAILURE
             self._reports = Reports(self.get_fully_qualified_name().lstrip("/"))
-            self._driver.warm_up()
+            compile_loops()  # which would make the first tick seconds late
             self._publish_on(settings)
             self._subscribe(settings, self._driver)
             self.get_logger().info(f"plans by {settings['service']}")

@@ -184,7 +184,10 @@ QUICK = (
     Session(
         "both", (f"anchorflow serve --bundle {SHIPPED}/default --bundle {SHIPPED}/student", PLAN)
     ),
-    Session("compiled loops", ("python -m anchorflow_trajectory.warm_up",)),
+    Session(
+        "compiled loops",
+        ("python -m anchorflow_trajectory.warm_up", "python -m anchorflow_control.warm_up"),
+    ),
     Session("a shipped bundle", (f"anchorflow serve --bundle {SHIPPED}/wote", READY)),
     Session("workers", ("anchorflow serve --workers 2", PLAN)),
     Session(
