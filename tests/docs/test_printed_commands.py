@@ -97,7 +97,10 @@ def terminal(tmp_path: Path) -> Terminal:
         ("sleep 60 >/dev/null 2>&1 & :", "still running at the end"),
     ],
 )
-def test_a_command_that_fails_is_seen(terminal: Terminal, text: str, says: str) -> None:
+def test_a_command_that_fails_is_seen(
+    terminal: Terminal, text: str, says: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("anchorflow_docs.commands.terminal.GRACE_S", 0.2)
     with pytest.raises(TerminalError, match=says), terminal:
         terminal.type(text)
 

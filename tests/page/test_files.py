@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,24 +37,24 @@ def open_files(visit: Any, files: list[Path]) -> None:
     visit.locate("#files").set_input_files(files)
 
 
-@pytest.mark.parametrize(
-    ("name", "picture"), [("text.pgm", pgm(drawing(), text=True)), ("a.png", png(drawing()))]
-)
-def test_a_ros_map_is_read_as_the_command_line_reads_it(
-    visit: Any, tmp_path: Path, name: str, picture: bytes
-) -> None:
-    files = map_files(tmp_path, name, picture)
-    expected = load_ros_map(files[0])
+def test_a_ros_map_is_read_as_the_command_line_reads_it(visit: Any, tmp_path: Path) -> None:
+    pictures = {"text.pgm": pgm(drawing(), text=True), "a.png": png(drawing())}
+    for name, picture in pictures.items():
+        visit.choose_empty_map()
+        files = map_files(tmp_path, name, picture)
+        expected = load_ros_map(files[0])
 
-    asked = visit.answer(
-        lambda: open_files(visit, files),
-        lambda asked: asked["cost_map"]["origin"] == pytest.approx(expected.origin),
-    ).asked["cost_map"]
+        asked = visit.answer(
+            partial(open_files, visit, files),
+            lambda asked, origin=expected.origin: (
+                asked["cost_map"]["origin"] == pytest.approx(origin)
+            ),
+        ).asked["cost_map"]
 
-    np.testing.assert_array_equal(np.array(asked["data"][0]) >= 0.5, expected.occupancy >= 0.5)
-    assert asked["resolution"] == expected.resolution
-    expect(visit.locate("#scene-note")).to_contain_text(f"{name}: 5.0 × 4.0 m")
-    expect(visit.locate("#sample")).to_have_value("own")
+        np.testing.assert_array_equal(np.array(asked["data"][0]) >= 0.5, expected.occupancy >= 0.5)
+        assert asked["resolution"] == expected.resolution
+        expect(visit.locate("#scene-note")).to_contain_text(f"{name}: 5.0 × 4.0 m")
+        expect(visit.locate("#sample")).to_have_value("own")
 
 
 def test_a_file_that_cannot_be_read_is_explained(visit: Any, tmp_path: Path) -> None:
@@ -94,12 +95,12 @@ DROP = """(element, [name, text]) => {
 """Drop a file: was the board marked, would the browser open it, and does the mark stay."""
 
 
-@pytest.mark.parametrize("where", ["#board", "#bundle"])
-def test_a_drop_anywhere_on_the_page_opens_the_file(visit: Any, where: str) -> None:
-    outcome = visit.locate(where).evaluate(DROP, ["a.json", '{"x_curr": [1, 2]}'])
+def test_a_drop_anywhere_on_the_page_opens_the_file(visit: Any) -> None:
+    for where, name in (("#board", "a.json"), ("#bundle", "b.json")):
+        outcome = visit.locate(where).evaluate(DROP, [name, '{"x_curr": [1, 2]}'])
 
-    assert outcome == [True, False, False]
-    expect(visit.locate("#scene-note")).to_contain_text("a.json: x_curr: expected 6 numbers")
+        assert outcome == [True, False, False]
+        expect(visit.locate("#scene-note")).to_contain_text(f"{name}: x_curr: expected 6 numbers")
 
 
 def test_a_saved_scene_is_a_request_and_opens_again(visit: Any, tmp_path: Path) -> None:
