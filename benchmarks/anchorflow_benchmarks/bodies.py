@@ -2,7 +2,8 @@
 
 The rivals are what a user has without a footprint: the disc about the outline, which is safe and
 fits through less, and the disc inside of it, which is not safe; and one searched way as it comes,
-plain hybrid A*. Run by `anchorflow bench bodies`.
+of plain hybrid A* or of OMPL's RRT, with the same time law and certificate. Run by
+`anchorflow bench bodies`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -34,13 +37,14 @@ FORKLIFT = np.array([[-0.45, -0.31], [0.45, -0.31], [0.45, 0.31], [-0.45, 0.31]]
 TAIL = np.array([[-0.7, -0.25], [0.2, -0.25], [0.2, 0.25], [-0.7, 0.25]])
 CAR = np.array([[-0.25, -0.25], [0.65, -0.25], [0.65, 0.25], [-0.25, 0.25]])
 JACKAL = np.array([[-0.254, -0.215], [0.254, -0.215], [0.254, 0.215], [-0.254, 0.215]])
-PERSON = 0.3  # m, radius
+PERSON, CROWD = 0.3, 20  # m, radius; people
 DIFFERENTIAL: dict[str, Any] = {"kind": "differential", "omega_max": OMEGA_MAX}
 ACKERMANN: dict[str, Any] = {
     "kind": "ackermann",
     "min_turning_radius": 1.0,
     "omega_max": OMEGA_MAX,
 }
+OMNI: dict[str, Any] = {"kind": "omni", "omega_max": OMEGA_MAX}
 Pose = tuple[float, float, float]
 Rectangle = tuple[float, float, float, float]
 
@@ -167,6 +171,29 @@ def oncoming(rng: np.random.Generator) -> Situation:
     return Situation(cells, start, goal, JACKAL, DIFFERENTIAL, people=person)
 
 
+def sidestep(rng: np.random.Generator) -> Situation:
+    """A bay beside a corridor that a robot has to slide into, since it has no room to turn."""
+    side, spare, bay = rng.choice([-1.0, 1.0]), rng.uniform(0.1, 0.2), rng.uniform(-0.5, 1.5)
+    half, deep = 0.31 + spare, 1.0 + 2.0 * spare
+    low, high = sorted((0.0, side * (half + deep)))
+    place = (bay - 0.45 - spare, bay + 0.45 + spare, low, high)
+    cells = painted(False, (-3.9, 3.9, -half, half), place, on=FULL)
+    goal = (bay, side * (half + 0.6), 0.0)
+    return Situation(cells, (-2.5, 0.0, 0.0), goal, FORKLIFT, OMNI, heading=TURNED)
+
+
+def crowd(rng: np.random.Generator) -> Situation:
+    """Twenty people who cross an open place in all directions."""
+    start, goal = (-3.0, rng.uniform(-1, 1), rng.uniform(-0.6, 0.6)), (3.0, rng.uniform(-1, 1), 0)
+    people: list[list[float]] = []
+    while len(people) < CROWD:
+        x, y = rng.uniform(-3.7, 3.7, 2)
+        away, speed = rng.uniform(-np.pi, np.pi), rng.uniform(0.4, 1.2)
+        if min(np.hypot(x - start[0], y - start[1]), np.hypot(x - goal[0], y - goal[1])) > 1.2:
+            people.append([x, y, speed * np.cos(away), speed * np.sin(away)])
+    return Situation(FREE, start, goal, JACKAL, DIFFERENTIAL, people=np.array(people))
+
+
 FAMILIES: dict[str, Callable[[np.random.Generator], Situation]] = {
     "door": doorway,
     "aisle": aisle,
@@ -175,6 +202,8 @@ FAMILIES: dict[str, Callable[[np.random.Generator], Situation]] = {
     "slalom": slalom,
     "crossing": crossing,
     "oncoming": oncoming,
+    "sidestep": sidestep,
+    "crowd": crowd,
 }
 
 
@@ -194,10 +223,11 @@ def verdicts(found: AnchorBatch, at: Situation) -> NDArray[np.bool_]:
     if at.heading is not None:
         away &= np.abs(turned(poses[:, -1, 2] - at.goal[2])) <= at.heading + 1e-3
     pace, spin = ahead(poses, velocities), np.abs(velocities[..., 2])
-    drives = np.abs(sideways(poses, velocities)).max(1) <= SLIP
-    drives &= (np.abs(pace).max(1) <= 1.05 * V_MAX) & (spin.max(1) <= 1.05 * OMEGA_MAX)
-    if not at.kinematics.get("reverse"):
-        drives &= pace.min(1) >= -SLIP
+    speed = np.hypot(velocities[..., 0], velocities[..., 1])
+    drives = (speed.max(1) <= 1.05 * V_MAX) & (spin.max(1) <= 1.05 * OMEGA_MAX)
+    if at.kinematics["kind"] != "omni":
+        drives &= np.abs(sideways(poses, velocities)).max(1) <= SLIP
+        drives &= (pace.min(1) >= -SLIP) | at.kinematics.get("reverse", False)
     if radius := at.kinematics.get("min_turning_radius"):
         drives &= (spin <= 1.05 * np.abs(pace) / radius + 0.02).all(1)
     return np.stack([free, away, drives], 1)
@@ -252,14 +282,17 @@ class OneWay(WaySearch):
         return (ways[:1] for ways in super().find(certified))
 
 
-PLAIN = {"WaySearch": OneWay, "SETTLING": 0, "LONG": 0, "WIDE": 0.0, "YIELDS": ((0.0, 1.0),)}
+PLAIN = {"SETTLING": 0, "LONG": 0, "WIDE": 0.0, "YIELDS": ((0.0, 1.0),)}
 
 
-def plainly(engine: Engine, at: Situation, num: int, seed: int) -> AnchorBatch:
-    """Plan along the cheapest searched way as it is: no descent, no shapes, no waiting."""
-    own = {name: getattr(body_planner, name) for name in PLAIN}
+def plainly(
+    search: type[WaySearch], engine: Engine, at: Situation, num: int, seed: int
+) -> AnchorBatch:
+    """Plan along a searched way as it is: no descent, no shapes, no waiting."""
+    plain = {"WaySearch": search, **PLAIN}
+    own = {name: getattr(body_planner, name) for name in plain}
     try:
-        for name, value in PLAIN.items():
+        for name, value in plain.items():
             setattr(body_planner, name, value)
         return ask(engine, at.fields(num, seed))
     finally:
@@ -267,9 +300,17 @@ def plainly(engine: Engine, at: Situation, num: int, seed: int) -> AnchorBatch:
             setattr(body_planner, name, value)
 
 
+def by_rrt(engine: Engine, at: Situation, num: int, seed: int) -> AnchorBatch:
+    """Plan along the way of OMPL's RRT."""
+    from anchorflow_benchmarks.ompl_ways import OmplWays  # OMPL is optional
+
+    return plainly(OmplWays, engine, at, num, seed)
+
+
 PLANNERS: dict[str, Callable[[Engine, Situation, int, int], AnchorBatch]] = {
     "poses": lambda engine, at, num, seed: ask(engine, at.fields(num, seed)),
-    "hybrid A*": plainly,
+    "hybrid A*": partial(plainly, OneWay),
+    **({"RRT (OMPL)": by_rrt} if find_spec("ompl") else {}),
     "disc about it": lambda engine, at, num, seed: as_disc(
         engine, at, float(np.hypot(*at.footprint.T).max()), num, seed
     ),

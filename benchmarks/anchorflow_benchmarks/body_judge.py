@@ -42,10 +42,12 @@ class BodyJudge:
         times = np.linspace(0.0, duration, len(poses))
         fine = np.linspace(0.0, duration, int(duration / MOMENT) + 2)
         heading = np.unwrap(poses[:, 2].astype(float))
-        x, y, turn = (np.interp(fine, times, z)[:, None] for z in (*poses[:, :2].T, heading))
-        body = self._body()
+        x, y, turns = (np.interp(fine, times, z) for z in (*poses[:, :2].T, heading))
+        body, reach = self._body(), float(np.hypot(*self.footprint.T).max())
         for place, radius in zip(places, radii, strict=True):
-            east, north = (place[0] + fine[:, None] * (place[1] - place[0])).T[..., None] - (x, y)
+            aside = (place[0] + fine[:, None] * (place[1] - place[0])).T - (x, y)
+            near = np.hypot(*aside) < radius + reach
+            (east, north), turn = aside[:, near, None], turns[near, None]
             ahead = np.cos(turn) * east + np.sin(turn) * north - body[:, 0]
             left = np.cos(turn) * north - np.sin(turn) * east - body[:, 1]
             if (np.hypot(ahead, left) < radius).any():

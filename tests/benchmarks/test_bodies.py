@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,18 @@ def test_a_footprint_does_what_its_discs_do_not(engine: Engine) -> None:
     success = rows["disc about it"]["success"]
     assert isinstance(success, float)
     assert success < 0.5
+
+
+def test_a_way_of_ompl_ends_at_the_goal_in_the_gears_of_a_car(engine: Engine) -> None:
+    pytest.importorskip("ompl")
+    at = bodies.slalom(np.random.default_rng(0))
+    found = bodies.by_rrt(engine, at, 4, 0)
+    assert found.safe.all()
+    assert bodies.verdicts(found, at).all()
+    assert bodies.replayed(found, at)
+    shifted = found.trajectories + np.array([0.0, 0.3, 0.0])
+    aside = replace(found, arrays=dict(found.arrays) | {"trajectories": shifted})
+    assert not bodies.replayed(aside, at)
 
 
 def test_the_judge_sees_walls_slips_and_where_a_bicycle_ends() -> None:
