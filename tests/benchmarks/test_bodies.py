@@ -39,7 +39,8 @@ def test_a_footprint_does_what_its_discs_do_not(engine: Engine) -> None:
 
 def test_a_way_of_ompl_ends_at_the_goal_in_the_gears_of_a_car(engine: Engine) -> None:
     pytest.importorskip("ompl")
-    at = bodies.slalom(np.random.default_rng(0))
+    ends = (-2.0, 0.0, 0.0), (2.0, 1.0, 0.0)
+    at = bodies.Situation(bodies.FREE, *ends, bodies.CAR, bodies.ACKERMANN)
     found = bodies.by_rrt(engine, at, 4, 0)
     assert found.safe.all()
     assert bodies.verdicts(found, at).all()
