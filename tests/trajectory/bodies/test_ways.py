@@ -19,7 +19,7 @@ from anchorflow_trajectory.bodies.motion import (
     tabulate,
 )
 from anchorflow_trajectory.bodies.outline import Outline, ground_of
-from anchorflow_trajectory.bodies.search import Guide, find_way, guide_along
+from anchorflow_trajectory.bodies.search import find_way, guide_along
 from anchorflow_trajectory.bodies.shots import Target
 from anchorflow_trajectory.bodies.wheels import (
     BACKWARD,
@@ -46,11 +46,11 @@ def way_between(
     ground = ground_of(np.zeros((60, 60), bool), 0.1, ORIGIN)
     points = np.linspace(start[:2], goal[:2], 20)
     rest = np.hypot(*(points - points[-1]).T)
-    left = guide_along(points, rest, (30, 30), ORIGIN, 0.2)
+    guide = guide_along(points, rest, (30, 30), ORIGIN, 0.2)
     outline = Outline(np.array([[-0.2, -0.2], [0.4, -0.2], [0.4, 0.2], [-0.2, 0.2]]))
     way, _ = find_way(
         ground, outline.corners, outline.reach, moves_of(wheels, cell=CELL, v_max=1.0, a_max=1.5),
-        CELL, Guide(left, -3.0, -3.0, 0.2), NOWHERE, np.array(start), STANDING, 0.0,
+        CELL, guide, NOWHERE, np.array(start), STANDING, 0.0,
         Target(np.array(goal), heading, STANDING, 0.0), 2000,
     )  # fmt: skip
     return way

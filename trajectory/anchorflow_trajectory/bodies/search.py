@@ -32,12 +32,19 @@ EMPTY = -1
 
 
 class Guide(NamedTuple):
-    """What is left of a way: [H, W] m at cell centres; x, y: m, its corner; resolution: m/cell."""
+    """What is left of a way along a route, by cells that are worked out when they are first met.
+
+    left: [H, W] m at cell centres, below 0 where it is not known yet
+    x, y: m, its corner; resolution: m/cell
+    points: [K, 2] m of the route; rest: [K] m from each on
+    """
 
     left: NDArray[np.float32]
     x: float
     y: float
     resolution: float
+    points: NDArray[np.float64]
+    rest: NDArray[np.float64]
 
 
 class Nodes(NamedTuple):
@@ -54,21 +61,30 @@ class Nodes(NamedTuple):
     gears: NDArray[np.int64]
 
 
-@compiled
 def guide_along(
     points: FloatArray, rest: FloatArray, shape: tuple[int, int], corner: FloatArray, cell: float
-) -> NDArray[np.float32]:
-    """What is left [H, W] along a route through points [K, 2] with `rest` [K] m from each on."""
-    left = np.empty(shape, np.float32)
-    for row in range(shape[0]):
-        y = corner[1] + (row + 0.5) * cell
-        for column in range(shape[1]):
-            x, best = corner[0] + (column + 0.5) * cell, np.inf
-            for k in range(len(points)):
-                across, up = x - points[k, 0], y - points[k, 1]
-                best = min(best, rest[k] + ASIDE * np.sqrt(across * across + up * up))
-            left[row, column] = best
-    return left
+) -> Guide:
+    """Return the guide [H, W] along a route through points [K, 2], with `rest` [K] m from each."""
+    left = np.full(shape, -1.0, np.float32)
+    points, rest = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(rest, np.float64)
+    return Guide(left, float(corner[0]), float(corner[1]), cell, points, rest)
+
+
+@compiled
+def _left(guide: Guide, pose: FloatArray) -> float:
+    """m that are left of the way in the cell of a pose."""
+    row = int((pose[1] - guide.y) / guide.resolution)
+    column = int((pose[0] - guide.x) / guide.resolution)
+    row = min(max(row, 0), guide.left.shape[0] - 1)
+    column = min(max(column, 0), guide.left.shape[1] - 1)
+    if guide.left[row, column] < 0.0:
+        x = guide.x + (column + 0.5) * guide.resolution
+        y, best = guide.y + (row + 0.5) * guide.resolution, np.inf
+        for k in range(len(guide.points)):
+            across, up = x - guide.points[k, 0], y - guide.points[k, 1]
+            best = min(best, guide.rest[k] + ASIDE * np.sqrt(across * across + up * up))
+        guide.left[row, column] = best
+    return guide.left[row, column]
 
 
 @compiled
@@ -210,8 +226,8 @@ def _expand(
         if keys[place] == key and nodes.costs[held[place]] <= cost + 1e-9:
             continue
         keys[place], held[place] = key, count
-        left = _at(guide.left, guide.x, guide.y, guide.resolution, pose)
-        waiting = _push(heap_cost, heap_node, waiting, cost + GREED * left, count)
+        likely = cost + GREED * _left(guide, pose)
+        waiting = _push(heap_cost, heap_node, waiting, likely, count)
         count += 1
     return count, waiting
 

@@ -185,8 +185,7 @@ class WaySearch:
         at = np.linspace(0.0, marks[-1], max(2, int(marks[-1] / max(GUIDE_STEP, fine))))
         points = np.stack([np.interp(at, marks, axis) for axis in route.points.T], 1)
         shape = (int(np.ceil(size[0] / fine)), int(np.ceil(size[1] / fine)))
-        left = guide_along(points, at if back else marks[-1] - at, shape, corner, fine)
-        return Guide(left, float(corner[0]), float(corner[1]), fine)
+        return guide_along(points, at if back else marks[-1] - at, shape, corner, fine)
 
     def _different(self, ways: list[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
         """Return the ways that differ in the sides or gears they take, the shortest first."""

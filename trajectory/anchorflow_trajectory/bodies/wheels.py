@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -60,6 +61,7 @@ class Moves(NamedTuple):
     forward: int
 
 
+@lru_cache(maxsize=64)
 def moves_of(
     wheels: Wheels,
     *,

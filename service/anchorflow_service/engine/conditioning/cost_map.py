@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -186,9 +187,15 @@ class MapScene:
 def outline_of(request: ResolvedRequest) -> Outline:
     """Return the footprint of a request, or a polygon about its disc."""
     if request.footprint is not None:
-        return Outline(request.footprint)
+        return _outline_with(np.asarray(request.footprint, np.float64).tobytes())
     assert request.limits is not None  # a request for poses is on a map
     return Outline.disc(request.limits.robot_radius)
+
+
+@lru_cache(maxsize=64)
+def _outline_with(corners: bytes) -> Outline:
+    """Return the outline with corners [K, 2]; a robot's is the same in all of its requests."""
+    return Outline(np.frombuffer(corners, np.float64).reshape(-1, 2).copy())
 
 
 def moving_discs(obstacles: Obstacles | None) -> MovingDiscs | None:
