@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from anchorflow_trajectory.compiled import compiled
 TURN = 4.0 / 3.0  # m in which a robot without an acceleration limit reaches its speed smoothly
 LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
 FAST, SPEEDS = 0.97, 20  # share of v_max in a hurry, and speeds tried
+CRUISES = (0.5, 1.0, 11)  # the least share of v_max, the greatest, and how many are tried
 QUICK, GENTLE = 0.7, 0.65  # shares of a_max while speeding up and while braking
 CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
 
@@ -47,6 +48,17 @@ class MotionLimits:
         rise, fall = (top - begin) / quicker, (top - end) / slower
         way = 0.5 * (top + begin) * rise + 0.5 * (top + end) * fall
         return way + top * max(duration - rise - fall, 0.0)
+
+    def least_cruise(self, way: float, duration: float, begin: float, end: float) -> float:
+        """Return the least speed [m/s] at which `way` m are covered in `duration` s; v_max at most.
+
+        begin, end: m/s
+        """
+        for top in (self.v_max * np.linspace(*CRUISES)).tolist():
+            limits = replace(self, v_max=top / FAST)
+            if top >= max(begin, end) and limits.most_way(duration, begin, end) >= way:
+                return top
+        return self.v_max
 
     def least_speed(self, duration: float, begin: float) -> float:
         """Return the speed [m/s] to which smooth braking leads in `duration` s."""

@@ -21,7 +21,7 @@ from anchorflow_trajectory.cost.fields import (
     soft_cost,
 )
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights, TrajectoryCost
-from anchorflow_trajectory.motion import MotionLimits, nominal_duration
+from anchorflow_trajectory.motion import GENTLE, MotionLimits, nominal_duration
 from anchorflow_trajectory.movers import Discs, MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.homotopy import ObstacleRays
@@ -34,11 +34,13 @@ from anchorflow_trajectory.routes.passing import (
 )
 from anchorflow_trajectory.routes.search import SLACK, Route, find_routes, place_along
 from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
+from anchorflow_trajectory.routes.space_time import SpaceTime
 from anchorflow_trajectory.routes.splines import (
     LEAST_WAY,
     STRETCH,
     RouteSplines,
     splines_along,
+    splines_through,
     spread_round,
     usual_spread,
 )
@@ -65,6 +67,9 @@ FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in par
 FINE_AMONG = 0.075  # m, the same where something moves among walls and a way round is late
 MOST_CELLS = 512  # a side of a map whose cells were cut
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
+LOOK_AHEAD = 40  # cells beyond a moved goal that are looked at for walls
+HURRY, CLOSE = 0.94, 0.05  # share of v_max of ways over places and times, and m that they keep
+RESERVE = 1.1  # times the shortest way, which the cruise of a horizon covers
 DETOUR = 1.5  # times a tight route that a roomy one may be long
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
@@ -232,8 +237,8 @@ class Scene:
         """Return the ways in space and time: one a route where nothing moves."""
         along = self._along_routes
         if self.movers is None:
-            return Ways(along, np.arange(len(along)))
-        return ways_past(along, self.cost(), self.ends, until=self.until_s)
+            return Ways(along)
+        return ways_past(along, self.cost(), self.ends, until=self.until_s, more=self._over_time)
 
     def among_movers(self) -> Scene:
         """Return the scene with a goal at which anchors can end, where something moves.
@@ -300,12 +305,64 @@ class Scene:
         apart = np.linalg.norm(fields.movers.places[:, 0] - start, axis=-1)
         return bool((apart < fields.movers.radius).any())
 
-    def nearer(self, share: float) -> Scene:
-        """Return the scene with a goal at a share of the cheapest route and of the goal's speed."""
-        dim, x_goal, route = len(self.x_goal) // 2, self.x_goal.copy(), self._cheapest
-        x_goal[:2], ahead = place_along(route.points, share * route.length)
-        x_goal[dim : dim + 2] = share * float(np.linalg.norm(x_goal[dim : dim + 2])) * ahead
+    def ending_at(self, place: FloatArray) -> Scene:
+        """Return the scene with a goal [2] elsewhere, whose velocity leads on along the way there.
+
+        It is no faster than who stops before the walls ahead can be.
+        """
+        dim, x_goal = len(self.x_goal) // 2, self.x_goal.copy()
+        x_goal[:2] = place
+        moved = replace(self, x_goal=x_goal)
+        speed = float(np.linalg.norm(x_goal[dim : dim + 2]))
+        if speed > 0.0:
+            route = moved._cheapest
+            _, ahead = place_along(route.points, route.length)
+            at = place + np.arange(LOOK_AHEAD)[:, None] * self.resolution * ahead
+            free = self.cost_fields.clearance.sample(*at.astype(np.float32).T) >= 0.0
+            room = self.resolution * (LOOK_AHEAD if free.all() else int(free.argmin()))
+            x_goal[dim : dim + 2] = (
+                min(speed, (GENTLE * self.motion.a_max * 2 * room) ** 0.5) * ahead
+            )
         return replace(self, x_goal=x_goal)
+
+    def in_time(self, hurry: float, room: float) -> tuple[Scene, Splines] | None:
+        """Return the scene with the end nearest to the goal that can be reached in time, and ways.
+
+        They are the cheapest over places and times, whatever the velocity at their end; None where
+        there is none.
+
+        hurry: share of v_max that they reach
+        room: m that they keep from what moves
+        """
+        lattice, motion = self._space_time(hurry, room)
+        if (end := lattice.nearest_end(self.x_goal[:2])) is None:
+            return None
+        places, velocity = lattice.ways_to(end, self.basis.num_samples)
+        dim, x_goal = len(self.x_goal) // 2, self.x_goal.copy()
+        x_goal[:2], x_goal[dim : dim + 2] = places[0, -1], velocity
+        scene = replace(self, x_goal=x_goal, motion=motion)
+        lasting = np.full(len(places), motion.horizon_s)
+        return scene, splines_through(places, self.basis, scene.ends, lasting)
+
+    def _space_time(self, hurry: float, room: float) -> tuple[SpaceTime, MotionLimits]:
+        dim, motion = len(self.x_goal) // 2, self.motion
+        if motion.horizon_s is None:
+            motion = replace(motion, horizon_s=nominal_duration(self._way, motion) + WAITS[0])
+        start = self.x_curr[:2], self.x_curr[dim : dim + 2]
+        found = SpaceTime.of(self.cost_fields, motion, *start, hurry=hurry, room=room)
+        return found, motion
+
+    @property
+    def _over_time(self) -> Splines | None:
+        """Return the cheapest ways over places and times to the goal; None without a horizon."""
+        if self.motion.horizon_s is None:
+            return None
+        lattice, _ = self._space_time(HURRY, CLOSE)
+        places, _ = lattice.ways_to(lattice.node(self.x_goal[:2]), self.basis.num_samples)
+        if not len(places):
+            return None
+        lasting = np.full(len(places), self.motion.horizon_s)
+        return splines_through(places, self.basis, self.ends, lasting)
 
     @property
     def until_s(self) -> float:
@@ -326,7 +383,21 @@ class Scene:
             self.effective_style,
             self.reference_s,
             margin,
+            cruise=self._cruise,
         )
+
+    @cached_property
+    def _cruise(self) -> float | None:
+        """m/s at which the shortest way takes the horizon, with some of it left, among what moves.
+
+        Who would wait, or go round, and hurry afterwards is late as soon as somebody is in the way.
+        """
+        horizon = self.motion.horizon_s
+        if self.movers is None or horizon is None:
+            return None
+        dim, begin = len(self.x_goal) // 2, self.x_curr
+        speeds = [float(np.linalg.norm(x[dim : dim + 2])) for x in (begin, self.x_goal)]
+        return self.motion.least_cruise(RESERVE * self._way, horizon, *speeds)
 
     @cached_property
     def _along_routes(self) -> Splines:

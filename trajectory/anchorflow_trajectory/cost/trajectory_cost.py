@@ -94,6 +94,7 @@ class TrajectoryCost:
     style: [3] or [M, 3], weights of safety, energy, smooth
     reference_s: s that durations are measured by, the least that the shortest route takes
     margin: m of clearance at which the hard hinge begins
+    cruise: m/s that take the place of v_max, for who has time to go slower; None: v_max
     """
 
     basis: SplineBasis
@@ -103,6 +104,7 @@ class TrajectoryCost:
     reference_s: float
     margin: float = 0.05
     weights: CostWeights = CostWeights()
+    cruise: float | None = None
 
     def value(self, splines: Splines) -> FloatArray:
         """J of each trajectory: [M]."""
@@ -127,7 +129,8 @@ class TrajectoryCost:
 
     def problem(self, dtype: DTypeLike) -> Problem:
         """Return the cost for compiled loops, in numbers of a dtype."""
-        w, limits, dear = self.weights, self.limits, 0.0
+        w, dear = self.weights, 0.0
+        limits = replace(self.limits, v_max=self.cruise or self.limits.v_max)
         if self.fields.surcharge is not None:
             dear, dearest = w.dear, float(self.fields.surcharge.values.max())
             w = w.stiffer(max(1.0, dearest / STEEP))

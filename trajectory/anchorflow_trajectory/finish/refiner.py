@@ -45,8 +45,9 @@ SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the referen
 LONGER_STEPS, MOST_LONGER = 150, 8
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 DODGE = OptimisationPass(60, RESTART_RATE, slowed_after=True)  # where no anchor is safe
-# Shares of the route at whose ends anchors wait or pass, if none gets farther.
-YIELDS = (0.94, 0.88, 0.8, 0.7, 0.6, 0.5)
+# Share of v_max that ways over places and times reach, and m that they keep from what moves, where
+# no way to the goal is safe.
+CARES = ((0.94, 0.05), (0.8, 0.1), (0.6, 0.2))
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -197,11 +198,15 @@ class Refiner:
         if self.scene.is_touched:
             return None
         finer = self.scene.basis.finer
-        for share in (1.0, *YIELDS):
-            refiner = self if share == 1.0 else replace(self, scene=self.scene.nearer(share))
-            others, cost = refiner.scene.ways.others, refiner.cost(spec)
+        for care in (None, *CARES):
+            refiner, others = self, self.scene.ways.others
+            if care is not None:
+                if (timed := self.scene.in_time(*care)) is None:
+                    continue
+                nearer, others = timed
+                refiner = replace(self, scene=nearer)
             assert others is not None
-            drawn = others[np.arange(count) % len(others)]
+            cost, drawn = refiner.cost(spec), others[np.arange(count) % len(others)]
             if finer is not None:
                 drawn, cost = refiner.scene.basis.refined(drawn), replace(cost, basis=finer)
             drawn, safe = refiner._optimised(DODGE, cost, drawn, certified, None)

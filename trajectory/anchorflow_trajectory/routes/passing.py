@@ -26,6 +26,7 @@ from anchorflow_trajectory.cost.fields import CostFields
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import Discs, place_at
+from anchorflow_trajectory.routes.splines import splines_through
 from anchorflow_trajectory.spline.basis import PLANE, Ends, SplineBasis, Splines
 
 MOST_WAYS, MOST_OTHERS = 8, 64
@@ -50,32 +51,42 @@ SWERVED = 3  # timings
 class Ways:
     """R ways, the cheapest first.
 
-    route: [R] the index of the route that each was drawn along
     others: the cheapest of what else was drawn, none where nothing moves
     """
 
     splines: Splines
-    route: NDArray[np.intp]
     others: Splines | None = None
 
 
-def ways_past(along: Splines, cost: TrajectoryCost, ends: Ends, *, until: float) -> Ways:
+def ways_past(
+    along: Splines,
+    cost: TrajectoryCost,
+    ends: Ends,
+    *,
+    until: float,
+    more: Splines | None = None,
+) -> Ways:
     """Return the cheapest way of each class, at most MOST_WAYS.
 
     along: one spline a route
     cost: its fields tell what moves
     until: s, after which nothing counts
+    more: splines that are drawn too
     """
     assert cost.fields.movers is not None
     basis, discs = cost.basis, Discs.of(cost.fields.movers, np.float32)
     drawn, route = _lattice(along, basis, ends, cost.limits)
+    if more is not None:
+        route = np.append(route, np.full(len(more), len(along)))
+        control = np.concatenate([drawn.control, more.control], axis=1)
+        drawn = Splines(control, np.append(drawn.duration, more.duration))
     price = cost.value(drawn)
     positions = np.ascontiguousarray(basis.states(drawn)[0][..., PLANE])
-    keys = passing_keys(discs, positions, drawn.duration, until) + _keys(len(along))[route]
+    keys = passing_keys(discs, positions, drawn.duration, until) + _keys(len(along) + 1)[route]
     order = np.argsort(price, kind="stable")
     _, first = np.unique(keys[order], return_index=True)
     chosen = order[np.sort(first)[:MOST_WAYS]]
-    return Ways(drawn[chosen], route[chosen], drawn[order[:MOST_OTHERS]])
+    return Ways(drawn[chosen], drawn[order[:MOST_OTHERS]])
 
 
 def evasions(basis: SplineBasis, ends: Ends, limits: MotionLimits) -> Splines:
@@ -256,10 +267,7 @@ def _lattice(
         lasting.append(rows[:, 0] + rows[:, 1])
         route.append(np.full(len(rows), index))
     duration = np.concatenate(lasting)
-    splines = basis.rest_curves(ends, duration)
-    plane = Ends(_planar(ends.x_curr, 3), _planar(ends.x_goal, 2))
-    fitted = basis.fit_positions(np.concatenate(drawn), plane, duration)
-    splines.control[PLANE] = fitted.control
+    splines = splines_through(np.concatenate(drawn), basis, ends, duration)
     return splines, np.concatenate(route)
 
 

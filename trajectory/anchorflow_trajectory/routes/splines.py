@@ -69,9 +69,16 @@ def splines_along(
         _timed(route, basis, ends, limits, float(lasts))
         for route, lasts in zip(routes, duration, strict=True)
     ]
+    return splines_through(np.stack(timed), basis, ends, duration)
+
+
+def splines_through(
+    positions: FloatArray, basis: SplineBasis, ends: Ends, duration: FloatArray
+) -> Splines:
+    """Return the splines nearest to positions [N, T, 2] that meet both ends; duration: [N] s."""
     splines = basis.rest_curves(ends, duration)
     plane = Ends(_planar(ends.x_curr, 3), _planar(ends.x_goal, 2))
-    splines.control[PLANE] = basis.fit_positions(np.stack(timed), plane, duration).control
+    splines.control[PLANE] = basis.fit_positions(positions, plane, duration).control
     return splines
 
 

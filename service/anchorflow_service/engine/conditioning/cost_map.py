@@ -29,9 +29,9 @@ from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
 from anchorflow_trajectory.cost.clearance import OCCUPIED
+from anchorflow_trajectory.finish.certificate import required_clearance
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
-from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
@@ -49,6 +49,8 @@ REACH = 2.0
 """Way of the probe from start to goal, in s at v_max."""
 MARGIN = 2.0
 """Side of the probe's map, in such ways."""
+ROOM = 0.15
+"""m beyond the needed clearance that a goal gets which has to move."""
 DIGITS = 8
 """Decimal digits kept of a position in m that is far from zero."""
 
@@ -225,14 +227,14 @@ def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
 
     A free goal that cannot be reached stays if nothing near it can be: no anchor will be safe.
     """
-    goal, clearance = scene.x_goal[:2], scene.clearance_field
+    goal, field = scene.x_goal[:2], scene.cost_fields.clearance
     is_free = scene.is_free(goal)
-    cell = cell_index(goal, scene.origin, scene.resolution, clearance.shape)
-    if is_free and clearance.flat[cell] >= 0.0 and scene.routes:
+    needed = required_clearance(field, scene.certified_margin)
+    if is_free and field.sample(*goal.astype(np.float32)) >= needed and scene.routes:
         return scene
-    for slack in (SLACK + scene.certified_margin, SLACK):
+    for slack in (needed + ROOM, needed, SLACK):
         place = nearest_reachable(
-            clearance,
+            scene.clearance_field,
             resolution=scene.resolution,
             origin=scene.origin,
             start=scene.x_curr[:2],
@@ -241,7 +243,7 @@ def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
             slack=slack,
         )
         if place is not None:
-            return replace(scene, x_goal=np.concatenate([place, scene.x_goal[2:]]))
+            return scene.ending_at(place)
     return scene if is_free else None
 
 

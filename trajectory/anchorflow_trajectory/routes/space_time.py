@@ -1,0 +1,309 @@
+"""The cheapest ways over places and times, among walls and what moves.
+
+A robot that has to be somewhere at a given time moves over a lattice of places and times: in each
+layer of time it goes on to a place that its greatest speed reaches. Every place costs the energy of
+the way there, and nearness to walls and to what moves. One sweep forwards gives the cheapest way
+from the start to every place and time, one backwards that to the end, and their sum the cheapest
+way through a place: ways through different places pass what moves in different ways (dynamic
+programming; lattices in space and time as in Ziegler & Stiller, IROS 2009).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_trajectory import BoolArray, FloatArray
+from anchorflow_trajectory.compiled import compiled, compiled_part
+from anchorflow_trajectory.cost.fields import CostFields
+from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.movers import Discs, place_at
+
+Nodes = NDArray[np.int64]
+Costs = NDArray[np.float32]
+
+MOST_NODES, LEAST_SIZE = 96, 0.04  # a side of the lattice, and m of its cells
+FAR = 4  # nodes that a robot in a hurry goes on in a layer
+LEAST_LAYERS, MOST_LAYERS = 8, 64
+ROOM_STILL = 0.03  # m that a way keeps from what stands still
+WEIGHT_STILL, WEIGHT_MOVING = 2.0, 4.0  # m^2/s^2, power that touching costs
+NEAR, FADED = 0.2, 0.8  # m in which it falls to 1/e, and beyond which it is 0
+SHORT = 12.0  # m/s: energy that a way may cost by which it ends a metre nearer to the goal
+NEVER = np.float32(1e9)
+VIAS, MOST_VIAS = (0.25, 0.5, 0.75), 8  # shares of the time at which ways differ, and ways for each
+APART = 1  # nodes about one that is chosen, through which no other way leads
+
+
+class Ground(NamedTuple):
+    """What a lattice of X x Y places and K layers of time is like.
+
+    still: [X, Y], where walls are; blocked: [2 K + 1, X, Y], by half layers, by what moves too
+    charge: [K + 1, X, Y] of being there; surcharge: [X, Y], factor less 1 on the energy of a move
+    moves: [M, 2] nodes that a robot goes on in a layer; price: [M] their energy
+    """
+
+    still: BoolArray
+    blocked: BoolArray
+    charge: Costs
+    surcharge: Costs
+    moves: Nodes
+    price: Costs
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceTime:
+    """A lattice of places and times about a start, and the cheapest ways from there.
+
+    origin: [2] m, place of the node (0, 0); size: m between nodes; step: s between layers
+    costs, links: [K + 1, X, Y], of the cheapest way from the start, and its last move
+    """
+
+    origin: FloatArray
+    size: float
+    step: float
+    ground: Ground
+    costs: Costs
+    links: NDArray[np.int16]
+
+    @staticmethod
+    def of(
+        fields: CostFields,
+        limits: MotionLimits,
+        start: FloatArray,
+        velocity: FloatArray,
+        *,
+        hurry: float,
+        room: float,
+    ) -> SpaceTime:
+        """Sweep a lattice from a start [2] m with a velocity [2] m/s, up to the horizon.
+
+        hurry: share of v_max that ways reach
+        room: m that ways keep from what moves
+        """
+        assert limits.horizon_s is not None
+        field, reach = fields.clearance, hurry * limits.v_max * limits.horizon_s
+        corner = field.origin + field.resolution * np.array(field.values.shape[::-1])
+        low, high = np.maximum(field.origin, start - reach), np.minimum(corner, start + reach)
+        size = max(float((high - low).max()) / MOST_NODES, LEAST_SIZE)
+        size = min(size, reach / (FAR * LEAST_LAYERS))
+        layers = min(round(reach / (FAR * size)), MOST_LAYERS)
+        step = limits.horizon_s / layers
+        first = np.ceil((low - start) / size)
+        shape = (np.floor((high - start) / size) - first).astype(int) + 1
+        origin = start + first * size
+        places = origin + size * np.moveaxis(np.mgrid[: shape[0], : shape[1]], 0, -1)
+        apart = np.full((2 * layers + 1, *shape), NEVER)
+        if fields.movers is not None:
+            discs = Discs.of(fields.movers, np.float64)
+            _paint(discs, origin, size, 0.5 * step, apart)
+        ground = _ground(fields, places.astype(np.float32), apart, size, step, room)
+        costs, at = np.full((layers + 1, *shape), NEVER), tuple((-first).astype(int))
+        links = np.full(costs.shape, -1, np.int16)
+        ground.blocked[0][at], costs[0][at] = False, 0.0
+        time = step * np.arange(layers + 1)[:, None, None]
+        off = np.linalg.norm(places - start - velocity * time[..., None], axis=-1)
+        _sweep(ground, off > 0.5 * limits.a_max * time**2 + size, costs, links, True)
+        return SpaceTime(origin, size, step, ground, costs, links)
+
+    def node(self, place: FloatArray) -> tuple[int, int]:
+        """Return the node nearest to a place [2] m."""
+        at = np.rint((place - self.origin) / self.size).astype(int)
+        x, y = np.clip(at, 0, np.array(self.costs.shape[1:]) - 1).tolist()
+        return x, y
+
+    def nearest_end(self, goal: FloatArray) -> tuple[int, int] | None:
+        """Return the node to be at in the end, by its cost and the way that is left to a goal [2].
+
+        None if there is none.
+        """
+        left = np.full(self.costs.shape[1:], NEVER)
+        left[self.node(goal)] = 0.0
+        _settle(~self.ground.still, left)
+        total = self.costs[-1] + SHORT * self.size * left
+        x, y = np.unravel_index(int(total.argmin()), total.shape)
+        return (int(x), int(y)) if total[x, y] < NEVER else None
+
+    def ways_to(self, end: tuple[int, int], num_samples: int) -> tuple[FloatArray, FloatArray]:
+        """Return ways [P, T, 2] to a node of the last layer, and the velocity [2] m/s there.
+
+        The cheapest comes first, and its is the velocity. There is none to a node that cannot be
+        reached in time.
+        """
+        layers = len(self.costs) - 1
+        costs, links = np.full(self.costs.shape, NEVER), np.full(self.costs.shape, -1, np.int16)
+        barred = self.costs >= NEVER
+        if barred[layers][end]:
+            return np.empty((0, num_samples, 2), np.float32), np.zeros(2)
+        costs[layers][end] = 0.0
+        _sweep(self.ground, barred, costs, links, False)
+        ways = {}
+        for share in VIAS:
+            layer = round(share * layers)
+            total = self.costs[layer] + costs[layer]
+            for node in _lowest(total):
+                way = self._traced(layer, node, links)
+                ways.setdefault(tuple(way), total[node])
+        nodes = np.array(sorted(ways, key=lambda way: ways[way]))
+        places = self.origin + self.size * nodes
+        at, steps = np.linspace(0.0, layers, num_samples), np.arange(layers + 1)
+        drawn = [[np.interp(at, steps, axis) for axis in way.T] for way in places]
+        last = (places[0, -1] - places[0, -3]) / (2.0 * self.step)
+        return np.array(drawn, np.float32).transpose(0, 2, 1), last
+
+    def _traced(
+        self, layer: int, node: tuple[int, int], links: NDArray[np.int16]
+    ) -> list[tuple[int, int]]:
+        """Return the nodes of the cheapest way through a node of a layer; links: to the end."""
+        way, at = [node], node
+        for k in range(layer, 0, -1):
+            x, y = self.ground.moves[self.links[k][at]].tolist()
+            at = at[0] - x, at[1] - y
+            way.append(at)
+        way.reverse()
+        at = node
+        for k in range(layer, len(self.costs) - 1):
+            x, y = self.ground.moves[links[k][at]].tolist()
+            at = at[0] + x, at[1] + y
+            way.append(at)
+        return way
+
+
+def _ground(
+    fields: CostFields, places: Costs, apart: Costs, size: float, step: float, room: float
+) -> Ground:
+    """Return the ground at places [X, Y, 2]; apart: [2 K + 1, X, Y] m from what moves."""
+    x, y = np.moveaxis(places, -1, 0)
+    clear = fields.clearance.sample(x, y)
+    still = clear < ROOM_STILL
+    charge = WEIGHT_STILL * np.exp(np.minimum(-clear / (0.5 * NEAR), 0.0))
+    charge = charge + WEIGHT_MOVING * np.exp(-np.maximum(apart[::2], 0.0) / NEAR)
+    surcharge = np.zeros(clear.shape, np.float32)
+    if fields.surcharge is not None:
+        surcharge = fields.surcharge.sample(x, y)
+    around = np.arange(-FAR, FAR + 1)
+    moves = np.stack(np.meshgrid(around, around, indexing="ij"), -1).reshape(-1, 2)
+    moves = np.ascontiguousarray(moves[(moves**2).sum(-1) <= FAR**2])
+    price = (moves**2).sum(-1) * (size**2 / step)
+    charge, price = np.asarray(step * charge, np.float32), price.astype(np.float32)
+    return Ground(still, still | (apart < room), charge, surcharge, moves, price)
+
+
+def _lowest(total: Costs) -> list[tuple[int, int]]:
+    """Return the cheapest nodes [X, Y] that lie apart, at most MOST_VIAS, the cheapest first."""
+    left, found = total.copy(), []
+    while len(found) < MOST_VIAS and left.min() < NEVER:
+        x, y = (int(i) for i in np.unravel_index(int(left.argmin()), left.shape))
+        found.append((x, y))
+        left[max(x - APART, 0) : x + APART + 1, max(y - APART, 0) : y + APART + 1] = NEVER
+    return found
+
+
+@compiled
+def _paint(discs: Discs, origin: FloatArray, size: float, step: float, apart: Costs) -> None:
+    """Lower the clearance [L, X, Y] m about each disc, up to FADED m from it."""
+    layers, width, height = apart.shape
+    for j in range(len(discs.radius)):
+        for k in range(layers):
+            x, y = place_at(discs, j, k * step)
+            radius = discs.radius[j] + discs.growth * (k * step)
+            reach = radius + FADED
+            begin = max(int(np.ceil((x - reach - origin[0]) / size)), 0)
+            end = min(int(np.floor((x + reach - origin[0]) / size)), width - 1)
+            low = max(int(np.ceil((y - reach - origin[1]) / size)), 0)
+            high = min(int(np.floor((y + reach - origin[1]) / size)), height - 1)
+            for a in range(begin, end + 1):
+                for b in range(low, high + 1):
+                    to_x, to_y = origin[0] + a * size - x, origin[1] + b * size - y
+                    gap = np.float32(np.sqrt(to_x * to_x + to_y * to_y) - radius)
+                    if gap < apart[k, a, b]:
+                        apart[k, a, b] = gap
+
+
+@compiled
+def _sweep(
+    ground: Ground,
+    barred: BoolArray,
+    costs: Costs,
+    links: NDArray[np.int16],
+    forwards: bool,
+) -> None:
+    """Write the cheapest costs and moves [K + 1, X, Y] from those of the first or last layer."""
+    layers, width, height = costs.shape
+    for count in range(layers - 1):
+        k = count if forwards else layers - 1 - count
+        for i in range(width):
+            for j in range(height):
+                if costs[k, i, j] < NEVER:
+                    _go_on(ground, barred, costs, links, (k, i, j), forwards)
+
+
+@compiled_part
+def _go_on(
+    ground: Ground,
+    barred: BoolArray,
+    costs: Costs,
+    links: NDArray[np.int16],
+    node: tuple[int, int, int],
+    forwards: bool,
+) -> None:
+    """Lower the costs of the nodes of the next layer that a node's moves lead to."""
+    k, i, j = node
+    _, width, height = costs.shape
+    sign = 1 if forwards else -1
+    to, half = k + sign, 2 * k + sign
+    here = costs[k, i, j]
+    if not forwards:
+        here += ground.charge[k, i, j]
+    for m in range(len(ground.moves)):
+        x, y = i + sign * ground.moves[m, 0], j + sign * ground.moves[m, 1]
+        if not (0 <= x < width and 0 <= y < height):
+            continue
+        if barred[to, x, y] or ground.blocked[2 * to, x, y]:
+            continue
+        if forwards:
+            cost = here + ground.price[m] * (1 + ground.surcharge[x, y]) + ground.charge[to, x, y]
+        else:
+            cost = here + ground.price[m] * (1 + ground.surcharge[i, j])
+        if cost < costs[to, x, y] and _is_clear(ground, half, (i, j), (x, y)):
+            costs[to, x, y] = cost
+            links[to, x, y] = m
+
+
+@compiled_part
+def _is_clear(ground: Ground, half: int, node: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether nothing is in the way between two nodes: what moves half way, walls in quarters."""
+    (i, j), (x, y) = node, other
+    a, b = x - i, y - j
+    if a * a + b * b <= 2:
+        return True
+    if ground.blocked[half, i + a // 2, j + b // 2]:
+        return False
+    if ground.blocked[half, x - a // 2, y - b // 2]:
+        return False
+    p, q = round(0.25 * a), round(0.25 * b)
+    return not (ground.still[i + p, j + q] or ground.still[x - p, y - q])
+
+
+@compiled
+def _settle(free: BoolArray, left: Costs) -> None:
+    """Lower what is left [X, Y], in cells, until no neighbour gives a shorter way."""
+    width, height = left.shape
+    diagonal = np.float32(np.sqrt(2.0))
+    changed, turn = True, 0
+    while changed:
+        changed = False
+        for p in range(width):
+            i = p if turn % 2 == 0 else width - 1 - p
+            for q in range(height):
+                j = q if turn // 2 % 2 == 0 else height - 1 - q
+                if not free[i, j]:
+                    continue
+                for a in range(max(i - 1, 0), min(i + 2, width)):
+                    for b in range(max(j - 1, 0), min(j + 2, height)):
+                        way = left[a, b] + (diagonal if a != i and b != j else np.float32(1.0))
+                        if way < left[i, j] - np.float32(1e-4):
+                            left[i, j], changed = way, True
+        turn += 1
