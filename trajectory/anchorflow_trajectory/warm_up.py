@@ -253,6 +253,7 @@ def _run_finish(scene: Scene) -> None:
     """Run everything else, and all of it together."""
     if scene.movers is not None:
         scene = scene.among_movers()
+        scene.in_time(1.0, 0.0)
     states = scene.route_states
     Refiner(scene, steps=1).refine(states, np.arange(len(states)), _Everything())
 

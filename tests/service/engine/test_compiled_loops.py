@@ -15,6 +15,7 @@ from anchorflow_service.local import LocalClient
 
 REST = [0.0, 0.0]
 START, GOAL = [-3.0, 0.1, 0.5, 0.0, *REST], [3.0, 0.2, *REST]
+CROSSING = {"position": [[0.0, -3.0]], "velocity": [[0.0, 1.0]], "radius": [0.3]}
 EVERYTHING = {"project": True, "barrier": True, "guidance": 0.5, "certified_margin": 0.05}
 
 
@@ -37,6 +38,9 @@ def variants() -> dict[str, int]:
         {"refine": {"project": False}, "num_samples": 1},
         {"horizon_s": 11.0, "refine": {"project": True}},
         {"warm_start": {"trajectory": [START[:2], [0.0, 1.5], GOAL[:2]], "tau": 0.75}},
+        {"obstacles": CROSSING, "horizon_s": 6.0},
+        {"obstacles": CROSSING, "horizon_s": 1.2},  # on the way only
+        {"obstacles": {"position": [GOAL[:2]], "velocity": [[0, 0]], "radius": [2.0]}},
     ],
     ids=str,
 )

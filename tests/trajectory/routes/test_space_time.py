@@ -19,13 +19,17 @@ Disc = tuple[tuple[float, float], tuple[float, float]]
 
 
 def searched(
-    *discs: Disc, walls: np.ndarray | None = None, horizon_s: float = 6.0, speed: float = 0.0
+    *discs: Disc,
+    walls: np.ndarray | None = None,
+    radius: float = RADIUS,
+    horizon_s: float = 6.0,
+    speed: float = 0.0,
 ) -> tuple[SpaceTime, CostFields]:
     """Return the lattice from START at `speed` m/s towards +x, and the fields that it is in."""
     occupied = np.zeros((SIDE, SIDE), bool) if walls is None else walls
-    field = clearance_field(occupied, CELL, RADIUS)
+    field = clearance_field(occupied, CELL, radius)
     numbers = np.array(discs, float).reshape(-1, 2, 2)
-    movers = MovingDiscs.of(numbers[:, 0], numbers[:, 1], np.full(len(numbers), 0.3 + RADIUS))
+    movers = MovingDiscs.of(numbers[:, 0], numbers[:, 1], np.full(len(numbers), 0.3 + radius))
     origin = np.full(2, -0.5 * SIDE * CELL)
     fields = CostFields(GridField(field, CELL, origin), None, movers)
     limits, velocity = MotionLimits(2.0, 2.0, horizon_s), np.array([speed, 0.0])
@@ -62,6 +66,13 @@ def test_walls_are_gone_round() -> None:
     for way in found:
         assert fields.clearance.sample(*way.T).min() > -CELL
         assert way[:, 1].max() > 1.0
+
+
+@pytest.mark.parametrize("column", [37, 38, 39, 40])
+def test_no_move_jumps_over_a_thin_wall(column: int) -> None:
+    closed = np.zeros((SIDE, SIDE), bool)
+    closed[:, column] = True
+    assert not len(ways(searched(walls=closed, radius=0.01)[0]))
 
 
 @pytest.mark.parametrize(("crosses_s", "is_before"), [(2.6, False), (4.2, True)])
