@@ -84,4 +84,5 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
         scene_inputs=names,
         sample_sizes={"B": 1},
         num_samples=config.judged,
+        unordered={"score": SCORED},
     )
