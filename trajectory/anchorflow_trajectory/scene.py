@@ -354,8 +354,11 @@ class Scene:
 
     @property
     def _over_time(self) -> Splines | None:
-        """Return the cheapest ways over places and times to the goal; None without a horizon."""
-        if self.motion.horizon_s is None:
+        """Return the cheapest ways over places and times to the goal.
+
+        None without a horizon, and in the open, where manoeuvres do as well in less time.
+        """
+        if self.motion.horizon_s is None or not self.occupied.any():
             return None
         lattice, _ = self._space_time(HURRY, CLOSE)
         places, _ = lattice.ways_to(lattice.node(self.x_goal[:2]), self.basis.num_samples)
