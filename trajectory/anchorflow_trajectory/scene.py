@@ -334,7 +334,8 @@ class Scene:
         hurry: share of v_max that they reach
         room: m that they keep from what moves
         """
-        lattice, motion = self._space_time(hurry, room)
+        swept = (hurry, room) == (HURRY, CLOSE)
+        lattice, motion = self._hurried if swept else self._space_time(hurry, room)
         if (end := lattice.nearest_end(self.x_goal[:2])) is None:
             return None
         places, velocity = lattice.ways_to(end, self.basis.num_samples)
@@ -343,6 +344,10 @@ class Scene:
         scene = replace(self, x_goal=x_goal, motion=motion)
         lasting = np.full(len(places), motion.horizon_s)
         return scene, splines_through(places, self.basis, scene.ends, lasting)
+
+    @cached_property
+    def _hurried(self) -> tuple[SpaceTime, MotionLimits]:
+        return self._space_time(HURRY, CLOSE)
 
     def _space_time(self, hurry: float, room: float) -> tuple[SpaceTime, MotionLimits]:
         dim, motion = len(self.x_goal) // 2, self.motion
@@ -360,7 +365,7 @@ class Scene:
         """
         if self.motion.horizon_s is None or not self.occupied.any():
             return None
-        lattice, _ = self._space_time(HURRY, CLOSE)
+        lattice, _ = self._hurried
         places, _ = lattice.ways_to(lattice.node(self.x_goal[:2]), self.basis.num_samples)
         if not len(places):
             return None

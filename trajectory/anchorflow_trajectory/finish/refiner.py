@@ -24,7 +24,7 @@ from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, new_starts
 from anchorflow_trajectory.routes.passing import evasions
-from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.scene import CLOSE, HURRY, Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 from anchorflow_trajectory.threads import Spread, in_one
 
@@ -47,7 +47,7 @@ TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 DODGE = OptimisationPass(60, RESTART_RATE, slowed_after=True)  # where no anchor is safe
 # Share of v_max that ways over places and times reach, and m that they keep from what moves, where
 # no way to the goal is safe.
-CARES = ((0.94, 0.05), (0.8, 0.1), (0.6, 0.2))
+CARES = ((HURRY, CLOSE), (0.8, 0.1), (0.6, 0.2))
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
