@@ -1,6 +1,7 @@
 """Run the commands that the documentation prints in a fresh checkout: `make walkthrough`.
 
-Everything is installed and trained in a temporary folder.
+Everything is installed and trained in a temporary folder; pictures of the page are kept in
+`runs/page`.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from anchorflow_docs.commands.terminal import Loopback, Terminal, TerminalError
 
 # Variables of this process and its make; the checkout has its own environment.
 OWN = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "PYTHONPATH", "VIRTUAL_ENV")
+PICTURES = Path("runs", "page")
 
 
 def main() -> None:
@@ -51,6 +53,8 @@ def main() -> None:
                         timed(terminal, command, texts[command])
             except TerminalError as error:
                 raise SystemExit(f"{session.name}: {error}") from error
+        if (folder / PICTURES).is_dir():
+            shutil.copytree(folder / PICTURES, ROOT / PICTURES, dirs_exist_ok=True)
 
 
 def check_out(folder: Path) -> None:

@@ -11,6 +11,7 @@ from anchorflow_client import AnchorRequest, InvalidRequest
 from anchorflow_client.contract.hints import place_hint, unit_hint
 
 GRID = np.zeros((64, 64), np.float32)
+BODY = {"kinematics": {"kind": "differential"}}
 WIDE = {"data": np.zeros((1, 40, 200), np.float32), "resolution": 0.1}
 
 
@@ -44,6 +45,14 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "a resolution of 5": (
         on(GRID[None] + 1, resolution=5),
         "a cell is 5 m wide: is `cost_map.resolution` in centimetres?",
+    ),
+    "a resolution of 16 where all is free": (
+        on(GRID[None], resolution=16),
+        "expected cells of at most 4 m for this robot, got 16; a cell is 16 m wide",
+    ),
+    "a heading in degrees": (
+        {"x_curr": [0, 0, 90, *[0] * 6], "x_goal": [1, 0, 0, 0, 0, 0], **BODY},
+        "is it in degrees? 90 degrees are 1.57 rad",
     ),
     "per cent": (on(GRID[None] + 50), "as in a ROS OccupancyGrid? CostMap.from_occupancy_grid"),
     "unknown as -1": (on(GRID[None] - 1), "CostMap.from_occupancy_grid reads one"),

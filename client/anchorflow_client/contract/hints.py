@@ -76,6 +76,12 @@ def states_hint(field: str, size: int) -> str:
     return ""
 
 
+def heading_hint(states: NDArray[Any]) -> str:
+    """Say what the greatest heading of the states x, y, heading, … would be in rad."""
+    turn = float(np.abs(states[..., 2]).max())
+    return f"; is it in degrees? {turn:g} degrees are {math.radians(turn):.3g} rad"
+
+
 def place_hint(
     x: float, y: float, *, low: NDArray[Any], high: NDArray[Any], resolution: float
 ) -> str:

@@ -38,12 +38,15 @@ from anchorflow_client.contract.fields import (
     SamplerChoice,
     WarmStart,
 )
-from anchorflow_client.contract.hints import place_hint, resolution_hint
+from anchorflow_client.contract.hints import heading_hint, place_hint, resolution_hint
 from anchorflow_client.contract.inputs import Inputs, read_inputs
 from anchorflow_client.contract.obstacles import Obstacles
-from anchorflow_client.contract.ranges import STATE, STYLE_WEIGHT
+from anchorflow_client.contract.ranges import HEADING, STATE, STYLE_WEIGHT
 from anchorflow_client.contract.rows import with_rows
 from anchorflow_client.errors import InvalidRequest
+
+SMALL_ROBOT, CELLS_OF_A_ROBOT = 0.25, 16
+"""Radius [m], and how many of it, or of a larger robot's, a cell is at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +230,8 @@ def read_states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.fl
     dim = states.shape[-1] // parts
     for part in range(parts):
         within(states, field, STATE[part], part=slice(part * dim, (part + 1) * dim))
+    if dim == DIMENSIONS[-1]:
+        within(states, field, HEADING, part=slice(dim - 1, dim), hint=heading_hint)
     return states
 
 
@@ -261,6 +266,11 @@ def _style(value: Any) -> NDArray[np.float64]:
 def _check_places(request: AnchorRequest) -> None:
     """Refuse a start or goal off the map, or in an occupied cell unless the request allows that."""
     cost_map = request.cost_map
+    most = CELLS_OF_A_ROBOT * max(request.robot_radius or 0.0, SMALL_ROBOT)
+    if cost_map.resolution > most and request.footprint is None:
+        message = f"expected cells of at most {most:g} m for this robot, got"
+        hint = resolution_hint(cost_map.resolution)
+        raise InvalidRequest(f"{message} {cost_map.resolution:g}{hint}", "cost_map.resolution")
     occupancy = cost_map.occupancy
     # Among what moves a disc's goal moves to where it can be reached.
     goal_moves = request.obstacles is not None and not request.has_body

@@ -32,6 +32,7 @@ PLAN = (
     " -H 'Content-Type: application/json' -d @-"
 )
 SHIPPED = "service/anchorflow_service/bundles"
+ALL = ("default", "student", "goalflow", "wote", "diffusiondrive", "v2x")
 LOAD = "curl -X POST localhost:8000/v2/repository/models/flowmp-small/load"
 REPLICA = "--zenoh client --zenoh-connect tcp/127.0.0.1:7447 --zenoh-replica"
 # A router by zenoh's Python library in place of zenohd; it prints a line when it is up.
@@ -283,6 +284,15 @@ WALKTHROUGH = (
             ".venv/bin/anchorflow serve --bundle bundles/small",
             PLAN,
         ),
+    ),
+    Session(
+        "the page",
+        ("python docs/page_pictures.py http://127.0.0.1:8000 runs/page",),
+        before=(
+            "pip install playwright",
+            "anchorflow serve --bundle " + " --bundle ".join(f"{SHIPPED}/{each}" for each in ALL),
+        ),
+        tool="which chromium",
     ),
     Session(
         "drivers on simulated logs",
