@@ -77,16 +77,21 @@ def test_trajectories_are_drawn_to_the_goals_of_a_request_in_turn(asked: LocalCl
 
 
 @torch.no_grad()
-def test_the_weights_that_ship_end_nearest_to_their_own_goal() -> None:
+def test_the_weights_that_ship_end_at_their_own_goal() -> None:
+    """Left to themselves they miss the goal 4 m aside by two and more."""
     model = restore_model(load_checkpoint(CHECKPOINT))
     inputs = [torch.from_numpy(each)[None] for each in street().values()]
     context = model.encode(*inputs, goal=torch.from_numpy(GOALS)[None])
     mean = context["prior_mean"][:, :30]
-    x = model.draw(torch.randn(1, 30, 24, generator=torch.Generator().manual_seed(0)), mean)
-    x = x + model.field(x, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
-    apart = (x[0, :, None, -1, :2] - torch.from_numpy(GOALS)).norm(dim=-1)
-    assert apart.argmin(-1).tolist() == [0, 1, 2] * 10
-    assert apart[2::3, 2].mean() < 1.0  # straight ahead
+
+    def missed() -> torch.Tensor:
+        x = model.draw(torch.randn(1, 30, 24, generator=torch.Generator().manual_seed(0)), mean)
+        x = x + model.field(x, mean, model.modulate(torch.zeros(1), context)[:, 0], context)
+        return (x[0, :, -1, :2] - torch.from_numpy(GOALS).repeat(10, 1)).norm(dim=-1)
+
+    assert missed()[::3].mean() > 2.0
+    model.takes_goals = True
+    assert missed().max() < 0.1
 
 
 def test_a_score_has_the_weights_of_the_export_or_of_the_request(asked: LocalClient) -> None:

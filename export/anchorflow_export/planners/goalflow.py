@@ -75,7 +75,7 @@ def bev_spec(layout: BevLayout) -> TensorSpec:
 def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
     """Adapt a copy of a trained network, whose noise gets the spread of the choices."""
     model = deepcopy(model)
-    model.noise_scale = choices.noise_scale
+    model.noise_scale, model.takes_goals = choices.noise_scale, choices.goal_inputs
     model.config = config = _scored_by(model.config, choices.score)
     sampler, more = choices.sampler.over(DEFAULT_SAMPLER), OF_A_REQUEST * choices.goal_inputs
     inputs = (bev_spec(config.bev), STATUS, SIZE, ROUTE, *more)

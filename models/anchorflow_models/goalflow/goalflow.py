@@ -5,8 +5,8 @@
     field      x_t on the way to a goal    -> dx/dt
     score      trajectories                -> scores
 
-A state is a pose (x, y, heading) and three numbers that no flow moves: whether it has a goal (1, 0
-or SETTLED), and the acceleration and curvature of the way that it began on.
+A state is a pose (x, y, heading) and three numbers that no flow moves: whether it has a goal (1, 0,
+GIVEN or SETTLED), and the acceleration and curvature of the way that it began on.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from anchorflow_models.goalflow.ways import (
     arc_to,
     follows,
     is_told,
+    led_to,
     roll_out,
     sharpest_at,
     ways_along,
@@ -66,6 +67,7 @@ FULL = 255.0
 BEND = 10.0  # m, scales curvatures for the networks
 STRAYS = (0.4, 4.0)  # m, before training, at the first pose and at the last
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
+GIVEN = 2.0  # the same: a goal of the request, which the trajectory reaches
 LEANING = 2.5  # m/s² to the side, at most, of turns
 LEAST_WEIGHT = 1e-6  # of a request's
 CERTAIN = 20.0  # a logit, of what is known
@@ -80,6 +82,7 @@ class GoalFlow(nn.Module):
     vocabulary: [K, 2] m, the goals; stray: [T, 3] distance of poses from the way to their goal
 
     noise_scale: of sigma, when trajectories are drawn; 1: as in training
+    takes_goals: whether requests may bring goals
     """
 
     vocabulary: Tensor
@@ -112,7 +115,7 @@ class GoalFlow(nn.Module):
             if config.outcomes
             else None
         )
-        self.noise_scale = 1.0
+        self.noise_scale, self.takes_goals = 1.0, False
         self.register_buffer("vocabulary", _fan(config.goals))
         stray = np.linspace(*STRAYS, steps)[:, None] * [1.0, 1.0, 0.05]
         self.register_buffer("stray", torch.tensor(stray, dtype=torch.float32))
@@ -187,7 +190,7 @@ class GoalFlow(nn.Module):
             "course": untold if route is None else route.clone(),  # a graph passes none on
         }
 
-    def ways_to(self, goals: Tensor, speed: Tensor) -> Tensor:
+    def ways_to(self, goals: Tensor, speed: Tensor, *, aimed: float = 1.0) -> Tensor:
         """Arcs [B, P, T, S] that end at goals [B, P, 2] in time, of cars at speeds [B]; at those
         that are too near for a speed they do not arrive.
         """
@@ -196,7 +199,7 @@ class GoalFlow(nn.Module):
         controls = arc_to(goals, speed, duration=steps * dt)
         acceleration, curvature = (each[..., None].expand(-1, -1, steps) for each in controls)
         curvature = within(curvature, sharpest_at(speed, acceleration, dt=dt))
-        return self._way(speed, acceleration, curvature, aimed=1.0)
+        return self._way(speed, acceleration, curvature, aimed=aimed)
 
     def shadow(self, ego_status: Tensor, speed: Tensor) -> Tensor:
         """Return the way [B, 1, T, S] that continues the ego's present motion, to no goal."""
@@ -257,7 +260,7 @@ class GoalFlow(nn.Module):
         count = ways.shape[1]
         dealt = goal.repeat(1, count, 1)[:, :count]
         told = (goal.abs().amax((1, 2)) > 0)[:, None, None]
-        own = self.ways_to(dealt, speed)
+        own = self.ways_to(dealt, speed, aimed=GIVEN)
         return torch.where(told[..., None], own, ways), torch.where(told, dealt, ends)
 
     def weights_or(self, score_weights: Tensor) -> Tensor:
@@ -329,7 +332,7 @@ class GoalFlow(nn.Module):
         seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
         aimed, acceleration, curvature = prior_mean[..., POSE:].unbind(-1)
         settled = (aimed < 0)[..., None]
-        told = torch.stack([aimed.clamp(min=0), acceleration / GAINS[0], curvature * BEND], -1)
+        told = torch.stack([aimed.clamp(0, 1), acceleration / GAINS[0], curvature * BEND], -1)
         tokens = torch.cat([(poses - way) / self.stray, in_units(way), seen, told], -1)
         change = self.flow(tokens, modulation).tanh()
         acceleration = (acceleration + GAINS[0] * change[..., 0]).clamp(-BRAKING, PULLING)
@@ -337,6 +340,10 @@ class GoalFlow(nn.Module):
         curvature = curvature + GAINS[1] * change[..., 1]
         curvature = within(curvature, sharpest_at(speed, acceleration, dt=self.config.dt))
         expected = roll_out(speed, acceleration, curvature, dt=self.config.dt)
+        if self.takes_goals:
+            ends = way[..., -1, :2]
+            led = led_to(ends, expected, speed, acceleration, curvature, dt=self.config.dt)
+            expected = torch.where((aimed == GIVEN)[..., None], led, expected)
         return expected if self.training else standing_still(torch.where(settled, way, expected))
 
     def score(self, x_1: Tensor, prior_mean: Tensor, context: Context) -> Tensor:
@@ -344,7 +351,7 @@ class GoalFlow(nn.Module):
         poses, way = x_1[..., :POSE], prior_mean[..., :POSE]
         judged = self.judged(poses, context)
         missed = (poses[..., -1, :2] - way[..., -1, :2]).square().sum(-1).sqrt()
-        missed = missed * prior_mean[..., 0, POSE].clamp(min=0)
+        missed = missed * prior_mean[..., 0, POSE].clamp(0, 1)
         route, ways = context["course"], self.rate(poses, context)
         ways = ways._replace(route=torch.where(is_told(route)[:, None], CERTAIN, ways.route))
         scores = trajectory_scores(judged.rules, missed, ways, self.weights(context))

@@ -22,6 +22,8 @@ SHARPEST = 0.2
 """1/m, of the curvature."""
 GRIP = 8.0
 """m/s² to the side, of what is drawn at any speed."""
+LEADINGS = 6
+"""Fixed-point steps of `led_to`."""
 _LEAST = 1e-3
 SETTING_OFF, SLOWING = 1.5, 3.0  # m/s², at most
 ROUTE_LEANING = 1.6  # m/s² to the side, at most, in a route's bends
@@ -84,6 +86,40 @@ def arc_to(goal: Tensor, speed: Tensor, *, duration: float) -> tuple[Tensor, Ten
     halting = -speed.square() / (2 * way.clamp(min=_LEAST))
     acceleration = torch.where(way < 0.5 * speed * duration, halting, meeting)
     return acceleration.clamp(-BRAKING, PULLING), curvature
+
+
+def led_to(
+    goal: Tensor,
+    poses: Tensor,
+    speed: Tensor,
+    acceleration: Tensor,
+    curvature: Tensor,
+    *,
+    dt: float,
+) -> Tensor:
+    """Return the poses [..., T, 3] of a car whose controls are shifted so that it ends at goals
+    [..., 2].
+
+    poses: [..., T, 3], as `roll_out` gives for speeds and controls [..., T]
+
+    One number is added to all accelerations and one to all curvatures, within what is driven at
+    all, by fixed-point steps in the polar coordinates of the end: its distance follows the first,
+    its direction half an arc's angle of the second.
+    """
+    away = goal.square().sum(-1).clamp(min=_LEAST).sqrt()
+    bearing = torch.atan2(goal[..., 1], goal[..., 0])
+    faster = sharper = torch.zeros_like(away)
+    later = dt * acceleration.shape[-1]
+    for _ in range(LEADINGS):
+        x, y = poses[..., -1, 0], poses[..., -1, 1]
+        short = away - (x.square() + y.square()).clamp(min=_LEAST).sqrt()
+        turned = bearing - torch.atan2(y, x)
+        faster = faster + 2 * short / later**2
+        sharper = sharper + 2 * torch.atan2(turned.sin(), turned.cos()) / away
+        pull = (acceleration + faster[..., None]).clamp(-BRAKING, PULLING)
+        bend = (curvature + sharper[..., None]).clamp(-SHARPEST, SHARPEST)
+        poses = roll_out(speed, pull, within(bend, sharpest_at(speed, pull, dt=dt)), dt=dt)
+    return poses
 
 
 def is_told(route: Tensor) -> Tensor:

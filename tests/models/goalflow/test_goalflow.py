@@ -8,8 +8,8 @@ from torch import Tensor
 
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import HALTINGS, TURNS
-from anchorflow_models.goalflow.goalflow import LEANING, POSE, SETTLED, Context
-from anchorflow_models.goalflow.ways import GRIP
+from anchorflow_models.goalflow.goalflow import LEANING, POSE, SETTLED, STATE, Context
+from anchorflow_models.goalflow.ways import BRAKING, GRIP
 
 
 def road(batch: int = 1) -> Tensor:
@@ -79,6 +79,40 @@ def test_goals_come_with_those_first_that_are_drawn_to(model: GoalFlow) -> None:
     torch.testing.assert_close(context["prior_mean"][:, :7], ways)
     aimed = [1.0] * 7 + [0.0] + [SETTLED] * SETTLED_WAYS
     assert context["prior_mean"][0, :ONCE, 0, POSE].tolist() == aimed
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("steps", [1, 3])
+def test_a_goal_of_the_request_is_reached_by_controls_that_a_car_has(
+    model: GoalFlow, steps: int
+) -> None:
+    shaken(model)
+    model.takes_goals = True
+    speeds, noise = (0.0, 6.0, 14.0), torch.randn(12, 24)
+    goals = torch.tensor(
+        [
+            [[6.0, 2.0], [9.0, 0.0], [12.0, -3.0]],
+            [[20.0, 5.0], [12.0, -2.0], [34.0, 0.0]],
+            [[44.0, 8.0], [60.0, -4.0], [30.0, 1.0]],
+        ]
+    )
+    inputs = (road(3), statuses(*speeds), SIZE.expand(3, -1))
+    context = model.encode(*inputs, goal=goals)
+    drawn = sampled(model, context, noise, steps=steps)
+    missed = (drawn[:, :, -1, :2] - goals.repeat(1, 4, 1)).norm(dim=-1)
+    assert missed.max() < 0.2
+    moved = drawn[..., :2].diff(dim=2, prepend=torch.zeros(3, 12, 1, 2)).norm(dim=-1)
+    first = (moved[..., 0] - 0.5 * torch.tensor(speeds)[:, None]).abs()
+    assert first.max() < 0.5 * BRAKING * 0.5**2 + 0.05  # m: it leaves at its speed
+    assert moved.diff(dim=-1).abs().max() < BRAKING * 0.5**2 + 0.05
+    assert drawn[..., 0, 2].abs().max() < 0.5  # rad: and along x
+
+    untold = [sampled(model, model.encode(*inputs), noise, steps=steps)]
+    untold += [sampled(model, model.encode(*inputs, goal=0 * goals), noise, steps=steps)]
+    model.takes_goals = False
+    untold += [sampled(model, model.encode(*inputs), noise, steps=steps)]
+    assert untold[0].shape == (3, 12, 8, STATE)
+    assert all(torch.equal(each, untold[0]) for each in untold)
 
 
 @torch.no_grad()
