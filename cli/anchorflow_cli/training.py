@@ -14,14 +14,23 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from anchorflow_cli.options import command_app, file_option, folder_option
-from anchorflow_training.checkpoint import mean_checkpoint, save_checkpoint
+from anchorflow_training.checkpoint import mean_checkpoint, model_before, save_checkpoint
+from anchorflow_training.config import RunConfig
 from anchorflow_training.dataset import open_dataset
 from anchorflow_training.distillation.distiller import Distiller
 from anchorflow_training.distillation.pairs import DistillConfig
 from anchorflow_training.distillation.teacher import load_teacher
 from anchorflow_training.planners import TRAININGS, training_of
 from anchorflow_training.run import Report, TrainingRun
-from anchorflow_training.settings import ConfigError, Setting, config_text, layers, settings
+from anchorflow_training.settings import (
+    ConfigError,
+    Setting,
+    config_text,
+    layers,
+    merged,
+    settings,
+    text_in,
+)
 from anchorflow_training.v2x.dataset import refuse_pairs
 
 train_app, distill_app, average_app = command_app(), command_app(), command_app()
@@ -135,8 +144,9 @@ def train(
     if training.open_data is open_dataset:
         refuse_pairs(dataset)
     data = training.open_data(dataset)
-    base = {"model": training.run.model_settings(data)}
-    settings = layers(training.config, base, config, given_settings(given, bfloat16=bfloat16))
+    told = given_settings(given, bfloat16=bfloat16)
+    base = _before(training.config, config, told, {"model": training.run.model_settings(data)})
+    settings = layers(training.config, base, config, told)
     if print_config:
         typer.echo(config_text(settings), nl=False)
         return
@@ -160,8 +170,9 @@ def distill(
 ) -> None:
     """Teach a student its teacher's anchors; stop it any time and start it again."""
     teacher, data = load_teacher(checkpoint), open_dataset(dataset)
-    base = {"model": asdict(teacher.model.config)}
-    settings = layers(DistillConfig, base, config, given_settings(given, bfloat16=bfloat16))
+    told = given_settings(given, bfloat16=bfloat16)
+    base = merged({"model": asdict(teacher.model.config)}, _before(DistillConfig, config, told, {}))
+    settings = layers(DistillConfig, base, config, told)
     if print_config:
         typer.echo(config_text(settings), nl=False)
         return
@@ -204,6 +215,14 @@ def given_settings(given: dict[str, Any], *, bfloat16: bool) -> dict[str, Any]:
             f"precision: expected --bfloat16 alone, got {given['precision']} beside it"
         )
     return {"precision": "bfloat16", **given} if bfloat16 else given
+
+
+def _before(
+    kind: type[RunConfig], file: Path | None, told: Mapping[str, Any], base: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the base over the model's settings of the checkpoint that the run begins with."""
+    path = told.get("before") or (text_in(file, "before") if file else None)
+    return merged({"model": model_before(path, kind.planner)}, base)
 
 
 def run_folder(out: Path | None) -> Path:

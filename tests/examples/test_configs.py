@@ -8,14 +8,14 @@ from small_configs import BACKBONE, DIFFUSIONDRIVE, EXAMPLES
 
 from anchorflow_models.registry import PLANNERS
 from anchorflow_training.planners import TRAININGS
-from anchorflow_training.settings import layers, planner_in
+from anchorflow_training.settings import PLANNER, layers, text_in
 
 DOCS = EXAMPLES.parent / "docs"
 
 
 @pytest.mark.parametrize("planner", ["wote", "diffusiondrive"])
 def test_a_configuration_file_names_its_planner(planner: str) -> None:
-    assert planner_in(EXAMPLES / f"{planner}-small.yaml") == planner
+    assert text_in(EXAMPLES / f"{planner}-small.yaml", PLANNER) == planner
 
 
 @pytest.mark.parametrize(

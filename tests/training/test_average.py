@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from training_runs import QUICK
 
 from anchorflow_cli.main import main
@@ -21,6 +23,8 @@ from anchorflow_training.checkpoint import (
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.settings import ConfigError
 from anchorflow_training.trainer import CFMTrainer, TrainerConfig
+
+TWO = replace(QUICK.model, layers=2)
 
 
 @pytest.fixture
@@ -42,6 +46,28 @@ def test_a_run_begins_with_the_averaged_weights_of_the_one_before(
     assert any(not torch.equal(wanted[n], w) for n, w in load_checkpoint(first).model.items())
     for name, weight in begun.model.state_dict().items():
         torch.testing.assert_close(weight, wanted[name], rtol=0, atol=0)
+
+
+def test_a_run_has_the_network_of_the_one_before_unless_it_says_otherwise(
+    first: Path,
+    write_dataset: Callable[[Path], Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    data, file = write_dataset(tmp_path / "data"), tmp_path / "train.yaml"
+    file.write_text(f"before: {first}\n")
+    distilled = ["distill", str(first), str(data)]
+    for words, wanted in (
+        (["train", str(data), "--before", str(first)], QUICK.model),
+        (["train", str(data), "--config", str(file)], QUICK.model),
+        ([*distilled, "--config", str(file)], QUICK.model),
+        (["train", str(data), "--before", str(first), "--model.layers", "2"], TWO),
+        ([*distilled, "--model.layers", "2"], TWO),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main([*words, "--print-config"])
+        assert not end.value.code
+        assert yaml.safe_load(capsys.readouterr().out)["model"] == asdict(wanted), words
 
 
 def test_a_run_begins_with_no_other_planner_and_no_other_network(

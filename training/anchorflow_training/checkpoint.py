@@ -123,6 +123,12 @@ def resumable(path: Path, config: RunConfig) -> Checkpoint | None:
     return saved
 
 
+def model_before(path: str | None, planner: str) -> dict[str, Any]:
+    """The model's settings of the checkpoint that a run begins with, if it is of the planner."""
+    saved = load_checkpoint(Path(path)) if path else None
+    return dict(saved.config["model"]) if saved and saved.planner == planner else {}
+
+
 def weights_before(path: str, config: RunConfig) -> dict[str, Tensor]:
     """The averaged weights of the checkpoint that a run begins with; raises `ConfigError`."""
     saved = load_checkpoint(Path(path))

@@ -18,7 +18,7 @@ from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunCon
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.windows import open_windows
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
-from anchorflow_training.settings import ConfigError, planner_in
+from anchorflow_training.settings import PLANNER, ConfigError, text_in
 from anchorflow_training.trainer import CFMTrainer
 from anchorflow_training.v2x.dataset import open_pairs
 from anchorflow_training.v2x.run import V2XRun, V2XRunConfig
@@ -56,7 +56,7 @@ def training_of(planner: str | None, file: Path | None = None) -> Training:
     Raises:
         ConfigError: there is no such planner, or no such file.
     """
-    name = planner or (planner_in(file) if file else None) or UNNAMED
+    name = planner or (text_in(file, PLANNER) if file else None) or UNNAMED
     if name not in TRAININGS:
         raise ConfigError(f"planner: expected one of {', '.join(TRAININGS)}, got {name!r}")
     return TRAININGS[name]

@@ -119,12 +119,12 @@ def layers(
     return _filled(kind, given | {"command line": typed})
 
 
-def planner_in(path: Path) -> str | None:
-    """Return the planner that a YAML file names, if any; raise `ConfigError`."""
-    planner = _read(path).get(PLANNER)
-    if not isinstance(planner, str | None):
-        raise ConfigError(f"{path}: {PLANNER}: expected a planner's name, got {planner!r}")
-    return planner
+def text_in(path: Path, key: str) -> str | None:
+    """Return the text of a key of a YAML file, if it is there; raise `ConfigError`."""
+    value = _read(path).get(key)
+    if not isinstance(value, str | None):
+        raise ConfigError(f"{path}: {key}: expected text, got {value!r}")
+    return value
 
 
 def config_text(config: Any) -> str:
