@@ -9,10 +9,11 @@ import pytest
 from anchorflow_trajectory.cost import clearance
 from anchorflow_trajectory.cost.fields import soft_cost
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
-from anchorflow_trajectory.motion import MotionLimits
+from anchorflow_trajectory.ending import among_movers
+from anchorflow_trajectory.motion import MotionLimits, share_within
 from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.splines import LEAST_WAY, splines_along
-from anchorflow_trajectory.scene import SCENE_INPUTS, Scene, share_within
+from anchorflow_trajectory.scene import SCENE_INPUTS, Scene
 
 
 @pytest.fixture
@@ -165,7 +166,7 @@ def test_a_goal_is_clear_if_who_is_there_goes_on_before_another_comes(
     behind = MovingDiscs.of(np.array([[-2.25, 3.5]]), np.array([[1.5, 0.0]]), np.array([0.2]))
     motion = replace(scene.motion, horizon_s=4.0)
     free = replace(scene, cost_map=occupancy, x_goal=goal, motion=motion, movers=behind)
-    assert np.array_equal(free.among_movers().x_goal, goal) == stays
+    assert np.array_equal(among_movers(free).x_goal, goal) == stays
 
 
 @pytest.mark.parametrize("horizon_s", [None, 4.0])
@@ -174,7 +175,7 @@ def test_a_goal_that_moves_aside_keeps_its_velocity(scene: Scene, horizon_s: flo
     taken = MovingDiscs.of(goal[None, :2], np.zeros((1, 2)), np.array([0.2]))
     motion = replace(scene.motion, horizon_s=horizon_s)
     free = replace(scene, cost_map=occupancy, x_goal=goal, motion=motion, movers=taken)
-    moved = free.among_movers().x_goal
+    moved = among_movers(free).x_goal
     assert not np.array_equal(moved[:2], goal[:2])
     np.testing.assert_array_equal(moved[2:], goal[2:])
 

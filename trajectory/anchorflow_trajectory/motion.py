@@ -154,3 +154,12 @@ def _driven(
             change = path[leg, axis] - path[leg - 1, axis]
             positions[k, axis] = path[leg - 1, axis] + share * change
     return positions
+
+
+def share_within(velocity: FloatArray, gained: FloatArray, most: float) -> float:
+    """The greatest share s of [0, 1] with |velocity + s gained| <= most; |velocity| is no more."""
+    a, b = float(gained @ gained), float(velocity @ gained)
+    room = max(most**2 - float(velocity @ velocity), 0.0)
+    if a + 2 * b <= room:
+        return 1.0
+    return (-b + (b * b + a * room) ** 0.5) / a

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, field, replace
 
@@ -21,18 +20,12 @@ from anchorflow_trajectory.cost.fields import (
     soft_cost,
 )
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights, TrajectoryCost
-from anchorflow_trajectory.motion import GENTLE, MotionLimits, nominal_duration
+from anchorflow_trajectory.motion import MotionLimits, nominal_duration, share_within
 from anchorflow_trajectory.movers import Discs, MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.homotopy import ObstacleRays
-from anchorflow_trajectory.routes.passing import (
-    WAITS,
-    Ways,
-    passing_keys,
-    place_to_end,
-    ways_past,
-)
-from anchorflow_trajectory.routes.search import SLACK, Route, find_routes, place_along
+from anchorflow_trajectory.routes.passing import WAITS, Ways, passing_keys, ways_past
+from anchorflow_trajectory.routes.search import SLACK, Route, find_routes
 from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
 from anchorflow_trajectory.routes.space_time import SpaceTime
 from anchorflow_trajectory.routes.splines import (
@@ -63,18 +56,13 @@ NUM_STEPS = 64
 # A style with a weight beyond BALANCED leans further than it says, and most from LEANING on: its
 # weights are raised to this power beside the cost's own contrast.
 BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
-FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
-FINE_AMONG = 0.075  # m, the same where something moves among walls and a way round is late
-MOST_CELLS = 512  # a side of a map whose cells were cut
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
-LOOK_AHEAD = 40  # cells beyond a moved goal that are looked at for walls
 HURRY, CLOSE = 0.94, 0.05  # share of v_max of ways over places and times, and m that they keep
 RESERVE = 1.1  # times the shortest way, which the cruise of a horizon covers
 DETOUR = 1.5  # times a tight route that a roomy one may be long
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
-TINY = 1e-9  # m/s
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -181,7 +169,7 @@ class Scene:
         A gap that is open by less may be closed on the next map, a fraction of a cell further on,
         and who has to turn round among what moves is late.
         """
-        roomy = self._found_routes(slack + max(self.resolution, FINE))
+        roomy = self._found_routes(slack + max(self.resolution, clearance.FINE))
         most, horizon = DETOUR * tight[0].length, self.motion.horizon_s
         if horizon is not None:
             dim = len(self.x_goal) // 2
@@ -224,10 +212,10 @@ class Scene:
     @cached_property
     def reference_s(self) -> float:
         """s that durations are measured by: the least in which the shortest route can be driven."""
-        return self.motion.least_time(max(self._way, LEAST_WAY))
+        return self.motion.least_time(max(self.shortest_way, LEAST_WAY))
 
     @property
-    def _way(self) -> float:
+    def shortest_way(self) -> float:
         """m, the length of the shortest route."""
         straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
         return min((route.length for route in self.routes), default=straight)
@@ -239,44 +227,6 @@ class Scene:
         if self.movers is None:
             return Ways(along)
         return ways_past(along, self.cost(), self.ends, until=self.until_s, more=self._over_time)
-
-    def among_movers(self) -> Scene:
-        """Return the scene with a goal at which anchors can end, where something moves.
-
-        A goal that cannot be reached within the horizon moves back along the cheapest route, one on
-        which something that moves will be on arrival to the nearest place that is clear then.
-        """
-        if self.movers is None:
-            return self
-        start, goal, dim = self.x_curr[:2], self.x_goal[:2], len(self.x_goal) // 2
-        velocity, goal_velocity = self.x_curr[dim : dim + 2], self.x_goal[dim : dim + 2]
-        horizon, motion, route = self.motion.horizon_s, self.motion, self._cheapest
-        about, within = start, np.inf
-        if horizon is None:
-            aside, usual = goal_velocity, nominal_duration(self._way, motion)
-            times = [usual, *(usual + wait for wait in WAITS)]
-        else:
-            times, begin = [horizon], float(np.linalg.norm(velocity))
-            asked = float(np.linalg.norm(goal_velocity))
-            if motion.most_way(horizon, begin, asked) < route.length:
-                speed = motion.speed_at(route.length + asked**2 / motion.a_max, horizon, begin)
-                reach = motion.most_way(horizon, begin, speed)
-                goal, ahead = place_along(route.points, reach)
-                goal_velocity = speed * ahead
-            slowest = velocity * (motion.least_speed(horizon, begin) / max(begin, TINY))
-            aside = goal_velocity if goal_velocity.any() else slowest
-            about = start + 0.5 * horizon * (velocity + aside)
-            within = motion.most_way(horizon, 0.0)
-        place = place_to_end(
-            goal, start, self.cost_fields, times, goal_velocity, about=about, within=within
-        )
-        if np.array_equal(place, self.x_goal[:2]):
-            return self
-        if place is not goal:
-            goal_velocity = aside
-        x_goal = self.x_goal.copy()
-        x_goal[:2], x_goal[dim : dim + 2] = place, goal_velocity
-        return replace(self, x_goal=x_goal)
 
     def classes(self, positions: FloatArray, duration: FloatArray) -> list[Hashable]:
         """Return a value for each of the motions [N, T, D] in `duration` [N] s.
@@ -305,54 +255,22 @@ class Scene:
         apart = np.linalg.norm(fields.movers.places[:, 0] - start, axis=-1)
         return bool((apart < fields.movers.radius).any())
 
-    def ending_at(self, place: FloatArray) -> Scene:
-        """Return the scene with a goal [2] elsewhere, whose velocity leads on along the way there.
+    @cached_property
+    def hurried(self) -> tuple[SpaceTime, MotionLimits]:
+        """Return `space_time` of who hurries past closely."""
+        return self.space_time(HURRY, CLOSE)
 
-        It is no faster than who stops before the walls ahead can be.
-        """
-        dim, x_goal = len(self.x_goal) // 2, self.x_goal.copy()
-        x_goal[:2] = place
-        moved = replace(self, x_goal=x_goal)
-        speed = float(np.linalg.norm(x_goal[dim : dim + 2]))
-        if speed > 0.0:
-            route = moved._cheapest
-            _, ahead = place_along(route.points, route.length)
-            at = place + np.arange(LOOK_AHEAD)[:, None] * self.resolution * ahead
-            free = self.cost_fields.clearance.sample(*at.astype(np.float32).T) >= 0.0
-            room = self.resolution * (LOOK_AHEAD if free.all() else int(free.argmin()))
-            x_goal[dim : dim + 2] = (
-                min(speed, (GENTLE * self.motion.a_max * 2 * room) ** 0.5) * ahead
-            )
-        return replace(self, x_goal=x_goal)
+    def space_time(self, hurry: float, room: float) -> tuple[SpaceTime, MotionLimits]:
+        """Return the swept places and times, and the motion limits with the horizon swept.
 
-    def in_time(self, hurry: float, room: float) -> tuple[Scene, Splines] | None:
-        """Return the scene with the end nearest to the goal that can be reached in time, and ways.
-
-        They are the cheapest over places and times, whatever the velocity at their end; None where
-        there is none.
-
-        hurry: share of v_max that they reach
+        hurry: share of v_max that ways reach
         room: m that they keep from what moves
         """
-        swept = (hurry, room) == (HURRY, CLOSE)
-        lattice, motion = self._hurried if swept else self._space_time(hurry, room)
-        if (end := lattice.nearest_end(self.x_goal[:2])) is None:
-            return None
-        places, velocity = lattice.ways_to(end, self.basis.num_samples)
-        dim, x_goal = len(self.x_goal) // 2, self.x_goal.copy()
-        x_goal[:2], x_goal[dim : dim + 2] = places[0, -1], velocity
-        scene = replace(self, x_goal=x_goal, motion=motion)
-        lasting = np.full(len(places), motion.horizon_s)
-        return scene, splines_through(places, self.basis, scene.ends, lasting)
-
-    @cached_property
-    def _hurried(self) -> tuple[SpaceTime, MotionLimits]:
-        return self._space_time(HURRY, CLOSE)
-
-    def _space_time(self, hurry: float, room: float) -> tuple[SpaceTime, MotionLimits]:
         dim, motion = len(self.x_goal) // 2, self.motion
         if motion.horizon_s is None:
-            motion = replace(motion, horizon_s=nominal_duration(self._way, motion) + WAITS[0])
+            motion = replace(
+                motion, horizon_s=nominal_duration(self.shortest_way, motion) + WAITS[0]
+            )
         start = self.x_curr[:2], self.x_curr[dim : dim + 2]
         found = SpaceTime.of(self.cost_fields, motion, *start, hurry=hurry, room=room)
         return found, motion
@@ -365,7 +283,7 @@ class Scene:
         """
         if self.motion.horizon_s is None or not self.occupied.any():
             return None
-        lattice, _ = self._hurried
+        lattice, _ = self.hurried
         places, _ = lattice.ways_to(lattice.node(self.x_goal[:2]), self.basis.num_samples)
         if not len(places):
             return None
@@ -405,7 +323,7 @@ class Scene:
             return None
         dim, begin = len(self.x_goal) // 2, self.x_curr
         speeds = [float(np.linalg.norm(x[dim : dim + 2])) for x in (begin, self.x_goal)]
-        return self.motion.least_cruise(RESERVE * self._way, horizon, *speeds)
+        return self.motion.least_cruise(RESERVE * self.shortest_way, horizon, *speeds)
 
     @cached_property
     def _along_routes(self) -> Splines:
@@ -420,7 +338,7 @@ class Scene:
         )
 
     @property
-    def _cheapest(self) -> Route:
+    def cheapest(self) -> Route:
         return self.routes[0] if self.routes else self._straight
 
     @property
@@ -486,26 +404,3 @@ class Scene:
             return False
         cell = cell_index(point, self.origin, self.resolution, self.occupied.shape)
         return not self.occupied.flat[cell]
-
-
-def finer_cells(
-    cost_map: FloatArray, resolution: float, fine: float = FINE
-) -> tuple[FloatArray, float]:
-    """Cut cells of a map [..., H, W] larger than `fine` m; return it and its resolution [m].
-
-    A certified clearance keeps a share of a cell in reserve, which closes ways that are one or two
-    coarse cells wide.
-    """
-    parts = min(math.ceil(resolution / fine - ROUNDING), MOST_CELLS // max(cost_map.shape[-2:]))
-    if parts <= 1:
-        return cost_map, resolution
-    return cost_map.repeat(parts, -2).repeat(parts, -1), resolution / parts
-
-
-def share_within(velocity: FloatArray, gained: FloatArray, most: float) -> float:
-    """The greatest share s of [0, 1] with |velocity + s gained| <= most; |velocity| is no more."""
-    a, b = float(gained @ gained), float(velocity @ gained)
-    room = max(most**2 - float(velocity @ velocity), 0.0)
-    if a + 2 * b <= room:
-        return 1.0
-    return (-b + (b * b + a * room) ** 0.5) / a

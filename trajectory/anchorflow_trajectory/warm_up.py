@@ -37,6 +37,7 @@ from anchorflow_trajectory.compiled import code_folder
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import CostFields
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
+from anchorflow_trajectory.ending import among_movers, in_time
 from anchorflow_trajectory.finish.bisection import bisect_to_safe
 from anchorflow_trajectory.finish.certificate import are_safe
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
@@ -252,8 +253,8 @@ def _run_descent(scene: Scene) -> None:
 def _run_finish(scene: Scene) -> None:
     """Run everything else, and all of it together."""
     if scene.movers is not None:
-        scene = scene.among_movers()
-        scene.in_time(1.0, 0.0)
+        scene = among_movers(scene)
+        in_time(scene, 1.0, 0.0)
     states = scene.route_states
     Refiner(scene, steps=1).refine(states, np.arange(len(states)), _Everything())
 

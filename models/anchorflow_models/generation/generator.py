@@ -32,7 +32,8 @@ from anchorflow_models.generation.steering import Barrier, Guidance, Steering
 from anchorflow_models.layers.clearance_map import ClearanceMap
 from anchorflow_models.torch_graphs import CPU, Role, TorchGraphs
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN, flow_field
-from anchorflow_trajectory.finish.refiner import Refined, Refiner
+from anchorflow_trajectory.finish.refined import Refined
+from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.ode.integrate import VectorField, drawn, integrate
 from anchorflow_trajectory.ode.schedule import Schedule, remaining

@@ -15,14 +15,9 @@ from anchorflow_client.errors import InvalidRequest
 from anchorflow_models.checks import check
 from anchorflow_models.flowmp.config import L2Config
 from anchorflow_service.engine.samplers.flow import renoised
+from anchorflow_trajectory.cost.clearance import finer_cells
 from anchorflow_trajectory.motion import MotionLimits
-from anchorflow_trajectory.scene import (
-    COST_PENALTY,
-    ROUTE_STATES,
-    SCENE_INPUTS,
-    Scene,
-    finer_cells,
-)
+from anchorflow_trajectory.scene import COST_PENALTY, ROUTE_STATES, SCENE_INPUTS, Scene
 
 Numbers = ArrayLike | Tensor
 

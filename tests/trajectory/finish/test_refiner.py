@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.finish.refiner import Refined, Refiner
+from anchorflow_trajectory.finish.refined import Refined
+from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import Ends, Splines, spline_basis

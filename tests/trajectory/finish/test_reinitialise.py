@@ -7,7 +7,8 @@ import pytest
 
 from anchorflow_client.contract import RefineSpec
 from anchorflow_trajectory.finish import refiner as refine
-from anchorflow_trajectory.finish.refiner import Refined, Refiner
+from anchorflow_trajectory.finish.refined import Refined
+from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
 

@@ -16,7 +16,7 @@ from anchorflow_trajectory.bodies.motion import CLOSE, COLUMNS, certify, drive, 
 from anchorflow_trajectory.bodies.scene import BETWEEN, LEAST_CELL, BodyScene
 from anchorflow_trajectory.bodies.ways import Run, Stretch, WaySearch
 from anchorflow_trajectory.bodies.wheels import TURNING
-from anchorflow_trajectory.finish.refiner import Refined, numbered
+from anchorflow_trajectory.finish.refined import Refined, numbered
 from anchorflow_trajectory.movers import Discs
 
 RIM, COARSE_RIM = 0.12, 0.2  # m between two points of the outline; in descents

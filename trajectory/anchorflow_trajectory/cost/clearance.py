@@ -5,6 +5,7 @@ Near the map's edge it is at most the distance of the robot's centre to that edg
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,9 @@ from anchorflow_trajectory.caching import MapCache, cached_property
 from anchorflow_trajectory.compiled import compiled, compiled_part
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
+FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
+FINE_AMONG = 0.075  # m, the same where something moves among walls and a way round is late
+MOST_CELLS = 512  # a side of a map whose cells were cut
 # Successive requests often share a map, with other starts and other robots.
 SHARED = MapCache(most_bytes=32 << 20)
 
@@ -168,3 +172,17 @@ def _along_columns(cells: BoolArray) -> NDArray[np.int64]:
             if below >= 0 and (apart[row, column] < 0 or below + 1 < apart[row, column]):
                 apart[row, column] = below + 1
     return apart
+
+
+def finer_cells(
+    cost_map: FloatArray, resolution: float, fine: float = FINE
+) -> tuple[FloatArray, float]:
+    """Cut cells of a map [..., H, W] larger than `fine` m; return it and its resolution [m].
+
+    A certified clearance keeps a share of a cell in reserve, which closes ways that are one or two
+    coarse cells wide.
+    """
+    parts = min(math.ceil(resolution / fine - ROUNDING), MOST_CELLS // max(cost_map.shape[-2:]))
+    if parts <= 1:
+        return cost_map, resolution
+    return cost_map.repeat(parts, -2).repeat(parts, -1), resolution / parts

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +10,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
+from anchorflow_trajectory.ending import in_time
 from anchorflow_trajectory.finish.bisection import bisect_to_safe
 from anchorflow_trajectory.finish.certificate import (
     are_safe,
@@ -22,6 +21,7 @@ from anchorflow_trajectory.finish.certificate import (
 )
 from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
+from anchorflow_trajectory.finish.refined import Refined, Refinement, numbered
 from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, new_starts
 from anchorflow_trajectory.routes.passing import evasions
 from anchorflow_trajectory.scene import CLOSE, HURRY, Scene
@@ -53,67 +53,6 @@ AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so tha
 
 States = tuple[FloatArray, FloatArray, FloatArray]
 """Positions, velocities and accelerations, each [N, T, D]."""
-
-
-class Refinement(Protocol):
-    """The options of a finish; the contract's `RefineSpec` is one."""
-
-    @property
-    def smooth(self) -> bool:
-        """Fit the spline with fixed ends."""
-        ...
-
-    @property
-    def project(self) -> bool:
-        """Push anchors out of obstacles and inside the limits."""
-        ...
-
-    @property
-    def safety_margin(self) -> float:
-        """m of clearance that the projection aims at."""
-        ...
-
-    @property
-    def barrier(self) -> bool:
-        """Move anchors that are too close to obstacles by a control barrier."""
-        ...
-
-    @property
-    def certified_margin(self) -> float:
-        """m of clearance beyond the robot's radius that every anchor called safe keeps."""
-        ...
-
-
-@dataclass(frozen=True)
-class Refined:
-    """Anchors of one scene.
-
-    positions, velocities, accelerations: [N, T, D] in m, m/s, m/s^2
-    duration: [N] s
-    scores: [N], minus the expert's cost for the requested style; higher is better
-    clearance: [N] m beyond robot_radius, smallest along the path
-    safe: [N], clear of every obstacle and of the map's edge by the certified margin, and within
-        the limits
-    routes: [N], equal for anchors that pass everything, still or moving, on the same sides; counted
-        from 0 in the order of their best scores
-    """
-
-    positions: FloatArray
-    velocities: FloatArray
-    accelerations: FloatArray
-    duration: FloatArray
-    scores: FloatArray
-    clearance: FloatArray
-    safe: BoolArray
-    routes: NDArray[np.int64]
-
-
-def numbered(classes: Sequence[Hashable], scores: FloatArray) -> NDArray[np.int64]:
-    """Return the numbers [N] of classes, counted in the order of their best scores."""
-    numbers: dict[Hashable, int] = {}
-    for n in np.argsort(-scores, kind="stable").tolist():
-        numbers.setdefault(classes[n], len(numbers))
-    return np.array([numbers[each] for each in classes], np.int64)
 
 
 @dataclass(frozen=True)
@@ -201,7 +140,7 @@ class Refiner:
         for care in (None, *CARES):
             refiner, others = self, self.scene.ways.others
             if care is not None:
-                if (timed := self.scene.in_time(*care)) is None:
+                if (timed := in_time(self.scene, *care)) is None:
                     continue
                 nearer, others = timed
                 refiner = replace(self, scene=nearer)

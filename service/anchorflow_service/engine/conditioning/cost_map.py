@@ -28,21 +28,15 @@ from anchorflow_service.bundle.manifest import (
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered
-from anchorflow_trajectory.cost.clearance import OCCUPIED
+from anchorflow_trajectory.cost.clearance import FINE, FINE_AMONG, OCCUPIED, finer_cells
+from anchorflow_trajectory.ending import among_movers, ending_at
 from anchorflow_trajectory.finish.certificate import required_clearance
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.movers import MovingDiscs
 from anchorflow_trajectory.routes.passing import MOST_ASIDE
 from anchorflow_trajectory.routes.reachable import cells_under, nearest_reachable
 from anchorflow_trajectory.routes.search import SLACK
-from anchorflow_trajectory.scene import (
-    FINE,
-    FINE_AMONG,
-    NETWORK_CHANNELS,
-    SCENE_INPUTS,
-    Scene,
-    finer_cells,
-)
+from anchorflow_trajectory.scene import NETWORK_CHANNELS, SCENE_INPUTS, Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, spline_basis
 
 REACH = 2.0
@@ -103,7 +97,7 @@ class CostMapConditioning:
                         "x_goal",
                     )
                 scenes[index] = moved
-        return [MapScene(near, scene.among_movers(), reference) for scene in scenes]
+        return [MapScene(near, among_movers(scene), reference) for scene in scenes]
 
     def _scene(self, request: ResolvedRequest, index: int, movers: MovingDiscs | None) -> Scene:
         """Return a scene of a request."""
@@ -243,7 +237,7 @@ def _within_tolerance(scene: Scene, tolerance: float) -> Scene | None:
             slack=slack,
         )
         if place is not None:
-            return scene.ending_at(place)
+            return ending_at(scene, place)
     return scene if is_free else None
 
 
