@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.planners import NUM_SAMPLES, Planner, Proposals, driven_along, limits_of
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.manifest import SplineEntry
+from anchorflow_service.bundle.entries import SplineEntry
 from anchorflow_training.expert import ExpertConfig, solve
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits

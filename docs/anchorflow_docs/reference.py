@@ -17,7 +17,7 @@ from anchorflow_docs.field_sources import (
     schema_fields,
 )
 from anchorflow_docs.tables import ANSWERED, HELD, SENT, endpoints, failures, field_table, refusals
-from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle, manifest
+from anchorflow_service.bundle import DEFAULT_BUNDLE, entries, load_bundle, manifest
 from anchorflow_service.engine import Engine
 from anchorflow_service.http import create_app
 from anchorflow_service.http.schemas import AnchorAnswerBody, ErrorBody
@@ -60,16 +60,16 @@ ENTRIES = (
     contract.CostMapSpec,
     contract.LimitsSpec,
     contract.TensorsSpec,
-    manifest.VisionLanguageEntry,
-    manifest.OdeEntry,
-    manifest.PriorEntry,
+    entries.VisionLanguageEntry,
+    entries.OdeEntry,
+    entries.PriorEntry,
     contract.VocabularySpec,
-    manifest.TruncatedDiffusionEntry,
+    entries.TruncatedDiffusionEntry,
     NoiseLevels,
-    manifest.SplineEntry,
-    manifest.GuardEntry,
-    manifest.RasterEntry,
-    manifest.AgentsEntry,
+    entries.SplineEntry,
+    entries.GuardEntry,
+    entries.RasterEntry,
+    entries.AgentsEntry,
     contract.NoFinish,
     contract.TimeSpec,
     contract.AnswerSpec,

@@ -25,7 +25,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_export.tracing import TracedGraph, random_tensor, trace
 from anchorflow_models.torch_graphs import Role
-from anchorflow_service.bundle.manifest import (
+from anchorflow_service.bundle.entries import (
     GuardEntry,
     OdeEntry,
     SplineEntry,

@@ -24,7 +24,7 @@ from anchorflow_benchmarks.judge import (
 from anchorflow_benchmarks.planners import Proposals, limits_of
 from anchorflow_benchmarks.scene_files import load_routes, load_scenes, read_routes
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_service.bundle.manifest import SplineEntry
+from anchorflow_service.bundle.entries import SplineEntry
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.spline.basis import spline_basis

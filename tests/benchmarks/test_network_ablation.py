@@ -23,7 +23,7 @@ from anchorflow_benchmarks.planners import limits_of
 from anchorflow_client.contract import NoFinish
 from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
-from anchorflow_service.bundle.manifest import SplineEntry
+from anchorflow_service.bundle.entries import SplineEntry
 from anchorflow_training.scenes import FamilyScene
 from anchorflow_trajectory.motion import MotionLimits
 

@@ -29,7 +29,7 @@ from anchorflow_models.diffusiondrive.config import FIRST_S, POSES, SCHEDULES, S
 from anchorflow_models.sub_scores import SUB_SCORES
 from anchorflow_models.torch_graphs import Role
 from anchorflow_models.transfuser import AGENT_QUERIES
-from anchorflow_service.bundle.manifest import TruncatedDiffusionEntry
+from anchorflow_service.bundle.entries import TruncatedDiffusionEntry
 
 OUTPUTS = {
     "encode": (

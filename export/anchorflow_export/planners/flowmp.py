@@ -29,7 +29,7 @@ from anchorflow_export.adapter import (
 from anchorflow_export.planners.random_requests import map_request
 from anchorflow_models.flowmp import L2SafetyCFM
 from anchorflow_models.torch_graphs import Role
-from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry, SplineEntry
+from anchorflow_service.bundle.entries import OdeEntry, PriorEntry, SplineEntry
 from anchorflow_service.engine.interfaces import Arrays
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN
 from anchorflow_trajectory.scene import ROUTE_STATES

@@ -29,7 +29,7 @@ from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import ScoreWeights
 from anchorflow_models.goalflow.goalflow import STATE, SURROUNDINGS
 from anchorflow_models.torch_graphs import Role
-from anchorflow_service.bundle.manifest import GuardEntry, OdeEntry, PriorEntry, RasterEntry
+from anchorflow_service.bundle.entries import GuardEntry, OdeEntry, PriorEntry, RasterEntry
 from anchorflow_service.engine.samplers.flow import PRIOR_MEAN
 
 ENCODE_OUTPUTS = (

@@ -28,7 +28,7 @@ from anchorflow_models.transfuser import (
     STATUS,
     TransfuserConfig,
 )
-from anchorflow_service.bundle.manifest import AgentsEntry, GuardEntry, RasterEntry
+from anchorflow_service.bundle.entries import AgentsEntry, GuardEntry, RasterEntry
 
 CELLS_A_BLOB = 40  # cells of a map for each square obstacle
 COMMANDS = MOTION.start  # of the ego status

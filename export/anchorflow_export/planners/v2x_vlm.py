@@ -31,7 +31,7 @@ from anchorflow_export.tracing import ExportError
 from anchorflow_models.torch_graphs import Role
 from anchorflow_models.v2x_vlm import V2XVLM
 from anchorflow_models.v2x_vlm.network import poses
-from anchorflow_service.bundle.manifest import VisionLanguageEntry
+from anchorflow_service.bundle.entries import VisionLanguageEntry
 
 VEHICLE, INFRASTRUCTURE, PROMPT = "vehicle_image", "infrastructure_image", "prompt"
 INPUTS = (

@@ -12,7 +12,8 @@ from functools import partial
 from itertools import pairwise
 
 from anchorflow_client.contract import RefineSpec
-from anchorflow_service.bundle.manifest import RAW_POSITIONS, Manifest, SplineEntry
+from anchorflow_service.bundle.entries import SplineEntry
+from anchorflow_service.bundle.manifest import RAW_POSITIONS, Manifest
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.guard import GuardFinish
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples

@@ -9,13 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import GuardSpec
-from anchorflow_service.bundle.manifest import (
-    VEHICLE_SIZE,
-    AgentsEntry,
-    GuardEntry,
-    Manifest,
-    RasterEntry,
-)
+from anchorflow_service.bundle.entries import VEHICLE_SIZE, AgentsEntry, GuardEntry, RasterEntry
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.interfaces import (
     SAFE,
     Array,

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_service.bundle.manifest import STATUS, Manifest
+from anchorflow_service.bundle.entries import STATUS
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.interfaces import Array, ConditionedScene
 from anchorflow_trajectory.late import Departure, joined
 

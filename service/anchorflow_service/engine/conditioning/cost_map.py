@@ -19,12 +19,8 @@ from anchorflow_client.contract import (
 )
 from anchorflow_client.contract.batch import NEAR
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.bundle.manifest import (
-    RAW_POSITIONS,
-    CostMapSpec,
-    Manifest,
-    SplineEntry,
-)
+from anchorflow_service.bundle.entries import SplineEntry
+from anchorflow_service.bundle.manifest import RAW_POSITIONS, CostMapSpec, Manifest
 from anchorflow_service.engine.interfaces import Arrays, unknown_names
 from anchorflow_service.engine.later_loops import MOVING_LOOPS, POSE_LOOPS
 from anchorflow_trajectory.bodies.outline import Outline, covered

@@ -24,7 +24,8 @@ from anchorflow_client.contract.inputs import TEXT
 from anchorflow_client.errors import InvalidRequest, how_to_install
 from anchorflow_client.sensors import resized
 from anchorflow_service.bundle import Bundle, BundleError
-from anchorflow_service.bundle.manifest import Manifest, VisionLanguageEntry
+from anchorflow_service.bundle.entries import VisionLanguageEntry
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.conditioning.tensors import probe_of
 from anchorflow_service.engine.interfaces import (
     Array,

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import OdeSpec, RefineSpec
-from anchorflow_service.bundle.manifest import Manifest, OdeEntry, SplineEntry
+from anchorflow_service.bundle.entries import OdeEntry, SplineEntry
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import refiner_of
 from anchorflow_service.engine.interfaces import (

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_client.contract import TruncatedDiffusionSpec
-from anchorflow_service.bundle.manifest import Manifest, TruncatedDiffusionEntry
+from anchorflow_service.bundle.entries import TruncatedDiffusionEntry
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.interfaces import (
     Arrays,
     Check,

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from anchorflow_service.bundle.manifest import Manifest, VisionLanguageEntry
+from anchorflow_service.bundle.entries import VisionLanguageEntry
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.conditioning.vision_language import Views, view_faults
 from anchorflow_service.engine.interfaces import (
     Arrays,
