@@ -267,7 +267,8 @@ def _worker_app(choice: ServeChoice, listener: socket.socket, started: Any) -> F
     except AnchorFlowError as error:
         logger.error("a worker cannot start: %s", error)
         # uvicorn stops all workers after a failure to start, and replaces one that exits otherwise.
-        raise SystemExit(STARTUP_FAILURE if started.value < choice.workers else 1) from error
+        # It waits WORKER_HEALTHCHECK_S for an interpreter that shuts down, so end at once.
+        os._exit(STARTUP_FAILURE if started.value < choice.workers else 1)
 
 
 def _exit_with_supervisor() -> None:

@@ -143,9 +143,9 @@ def run_contest(
 ) -> list[Result]:
     """Run every contender in every world with every seed; `progress` gets 1 per finished run.
 
-    Runs in `log` are not repeated. Each worker is a process with one thread for torch. The latency
-    of an engine is its processor time, so that other load on the machine does not slow the robot;
-    that of a service is wall time.
+    Runs in `log` are not repeated. Several workers are processes, a single one is this process;
+    each has one thread for torch. The latency of an engine is its processor time, so that other
+    load on the machine does not slow the robot; that of a service is wall time.
 
     Raises `BundleError` if the bundle cannot be opened; `BrokenProcessPool` if a worker was killed.
     """
@@ -159,16 +159,31 @@ def run_contest(
     to_drive = [heat for heat in heats if heat.key not in known]
     if to_drive != heats:
         progress(len(heats) - len(to_drive))
-    with ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,)
-    ) as pool:
-        driven = pool.map(partial(run_heat, config=config), to_drive)
+    with _mapper(workers) as mapped:
+        driven = mapped(partial(run_heat, config=config), to_drive)
         for heat, result in zip(to_drive, driven, strict=True):
             known[heat.key] = result
             if log is not None:
                 log.add(result)
             progress(1)
     return [known[heat.key] for heat in heats]
+
+
+@contextmanager
+def _mapper(workers: int) -> Iterator[Callable[..., Iterator[Result]]]:
+    """Yield `map` over that many processes, of one thread for torch each; of one, `map` itself."""
+    if workers > 1:
+        with ProcessPoolExecutor(
+            workers, get_context("spawn"), initializer=torch.set_num_threads, initargs=(1,)
+        ) as pool:
+            yield pool.map
+        return
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield map
+    finally:
+        torch.set_num_threads(threads)
 
 
 def run_heat(heat: Heat, config: ContestConfig) -> Result:

@@ -55,7 +55,7 @@ def test_every_contender_runs_with_every_seed_in_whichever_process(
 ) -> None:
     worlds = [world([(3.0, 0.0)], name="one", path_length=7.0)]
     done: list[int] = []
-    results = run_contest([ALONE, LINES], worlds, CONFIG, seeds=2, progress=done.append)
+    results = run_contest([ALONE, LINES], worlds, CONFIG, seeds=2, workers=2, progress=done.append)
 
     assert [(r.world, r.seed, r.contender) for r in results] == [
         ("one", seed, contender) for seed in (0, 1) for contender in ("MPPI", "lines")
