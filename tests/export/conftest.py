@@ -1,22 +1,14 @@
-"""Bundles of small networks, each exported once; to read, not to change."""
+"""A planner that is not ours, and its bundle."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from exported_bundles import Exported, export_once
 from torch_camera_planner import DESCRIPTION, CameraConfig, CameraPlanner, camera_adapter
 
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.bundle import export_bundle
-
-
-@pytest.fixture(scope="session")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Exported]:
-    """Exports a small network, once a session."""
-    return lambda planner: export_once(planner, tmp_path_factory)
 
 
 @pytest.fixture

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from exported_bundles import DIFFUSION
+from exported_bundles import DIFFUSION, export_once
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 
 from anchorflow_client.contract import TruncatedDiffusionSpec
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners import adapter_of
-from anchorflow_service.bundle.manifest import TruncatedDiffusionEntry
+from anchorflow_service.bundle.entries import TruncatedDiffusionEntry
 from anchorflow_service.local import LocalClient
 
 EXTRAS = (
@@ -25,8 +23,8 @@ CANDIDATES = 4 * 2 * 2 + 3
 
 
 @pytest.fixture(scope="module")
-def client(exported: Callable[[str], Any]) -> LocalClient:
-    return LocalClient.of(exported("diffusiondrive").path, threads=2)
+def client() -> LocalClient:
+    return LocalClient.of(export_once("diffusiondrive").path, threads=2)
 
 
 def sensors() -> dict[str, np.ndarray]:
@@ -38,8 +36,8 @@ def sensors() -> dict[str, np.ndarray]:
     }
 
 
-def test_every_number_of_steps_is_proved(exported: Callable[[str], Any]) -> None:
-    whats = " ".join(part.what for part in exported("diffusiondrive").differences)
+def test_every_number_of_steps_is_proved() -> None:
+    whats = " ".join(part.what for part in export_once("diffusiondrive").differences)
     for steps in (1, 2, 4):
         assert f", {steps} steps" in whats
 

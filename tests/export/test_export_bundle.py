@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from exported_bundles import export_once
 from torch import Tensor
 from torch_camera_planner import DESCRIPTION, CameraConfig, CameraPlanner, camera_adapter
 
@@ -23,7 +23,7 @@ from anchorflow_export.planners.flowmp import flowmp_adapter
 from anchorflow_export.tracing import ExportError
 from anchorflow_models.flowmp import L2Config, L2SafetyCFM
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.bundle.manifest import OdeEntry, PriorEntry
+from anchorflow_service.bundle.entries import OdeEntry, PriorEntry
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.motion import MotionLimits
 
@@ -31,8 +31,8 @@ CONFIG = L2Config(map_size=16, feature_channels=4, layers=1)
 
 
 @pytest.fixture(scope="module")
-def bundle(exported: Callable[[str], Any]) -> Path:
-    return exported("flowmp").path
+def bundle() -> Path:
+    return export_once("flowmp").path
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from exported_bundles import export_once
 
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator, WarmStart
 from anchorflow_service.local import LocalClient
@@ -18,8 +18,8 @@ PLAN = np.linspace([-1.5, 0.1], [1.5, -0.3], 30) + np.outer(np.sin(np.linspace(0
 
 
 @pytest.fixture(scope="module")
-def client(exported: Callable[[str], Any]) -> LocalClient:
-    return LocalClient.of(exported("flowmp").path, threads=1)
+def client() -> LocalClient:
+    return LocalClient.of(export_once("flowmp").path, threads=1)
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,6 @@ def test_generator_and_engine_agree_from_a_seed(
     warm: dict[str, Any] | None,
     limits: dict[str, float],
     project: bool,
-    exported: Callable[[str], Any],
     client: LocalClient,
 ) -> None:
     occupancy = np.zeros((1, 48, 48), np.float32)
@@ -57,7 +56,7 @@ def test_generator_and_engine_agree_from_a_seed(
     config = GeneratorConfig(
         method="heun", steps=3, num_samples=6, project=project, safety_margin=0.1
     )
-    drawn = TrajectoryGenerator(exported("flowmp").network, config).generate(
+    drawn = TrajectoryGenerator(export_once("flowmp").network, config).generate(
         occupancy,
         X_CURR,
         X_GOAL,

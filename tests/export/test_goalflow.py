@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from exported_bundles import export_once
 
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import ego_status
@@ -55,9 +54,9 @@ def test_random_scenes_have_scores_that_differ() -> None:
 
 
 @pytest.fixture(scope="module")
-def asked(exported: Callable[[str], Any]) -> LocalClient:
+def asked() -> LocalClient:
     """A small GoalFlow whose requests may bring goals and weights."""
-    return LocalClient.of(exported("goalflow").path, threads=1)
+    return LocalClient.of(export_once("goalflow").path, threads=1)
 
 
 def test_trajectories_are_drawn_to_the_goals_of_a_request_in_turn(asked: LocalClient) -> None:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from exported_bundles import NETWORKS
+from exported_bundles import NETWORKS, export_once
 
 from anchorflow_client.contract import ModelCard
 from anchorflow_export.adapter import ExportChoices
@@ -18,10 +17,8 @@ from anchorflow_service.local import LocalClient
 
 
 @pytest.mark.parametrize("network", NETWORKS)
-def test_every_graph_and_whole_samples_are_torchs(
-    exported: Callable[[str], Any], network: str
-) -> None:
-    made = exported(network)
+def test_every_graph_and_whole_samples_are_torchs(network: str) -> None:
+    made = export_once(network)
     bundle = load_bundle(made.path)
     compared = Counter(difference.what.split()[0] for difference in made.differences)
     assert {*compared} == {*bundle.manifest.graphs, "sample"}
@@ -32,9 +29,9 @@ def test_every_graph_and_whole_samples_are_torchs(
 
 
 @pytest.mark.parametrize("planner", [name for name in ADAPTERS if name != "flowmp"])
-def test_a_batch_has_the_bytes_of_its_scenes(exported: Callable[[str], Any], planner: str) -> None:
+def test_a_batch_has_the_bytes_of_its_scenes(planner: str) -> None:
     """For maps, tests/service/engine shows the same."""
-    made = exported(planner)
+    made = export_once(planner)
     client = LocalClient.of(made.path, threads=2)
     adapter = adapter_of(planner, made.network, ExportChoices())
     card = client.engine.card

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
 import pytest
+from exported_bundles import export_once
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_export.planners import check_used
@@ -22,9 +21,9 @@ from anchorflow_service.engine.samplers.ode import OdeSampler
 
 
 @pytest.fixture
-def bundle(exported: Callable[[str], Any], tmp_path: Path) -> Path:
+def bundle(tmp_path: Path) -> Path:
     """One to round, or to break."""
-    return shutil.copytree(exported("flowmp").path, tmp_path / "bundle")
+    return shutil.copytree(export_once("flowmp").path, tmp_path / "bundle")
 
 
 def sampler_of(bundle: Bundle) -> OdeSampler:

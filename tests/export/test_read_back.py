@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import pytest
 import torch
 from command_line import failure, succeed
-from exported_bundles import Exported
+from exported_bundles import export_once
 from small_v2x import small_sizes
 
 from anchorflow_export.adapter import ExportChoices
@@ -33,8 +32,8 @@ CASES = {
 
 
 @pytest.mark.parametrize("planner", CASES)
-def test_every_weight_of_a_graph_is_read(planner: str, exported: Callable[[str], Exported]) -> None:
-    made = exported(planner)
+def test_every_weight_of_a_graph_is_read(planner: str) -> None:
+    made = export_once(planner)
     unused, rounded = CASES[planner]
     with small_sizes():
         model = planner_named(planner).create(made.network.config).eval()
@@ -50,11 +49,9 @@ def test_every_weight_of_a_graph_is_read(planner: str, exported: Callable[[str],
         torch.testing.assert_close(read.weights[name], wanted[name], rtol=0, atol=0, msg=name)
 
 
-def test_a_checkpoint_of_a_bundle_in_eight_bits(
-    tmp_path: Path, exported: Callable[[str], Exported]
-) -> None:
+def test_a_checkpoint_of_a_bundle_in_eight_bits(tmp_path: Path) -> None:
     """It begins a run, and its weights are those of the network but for the rounding."""
-    made, rounded, file = exported("flowmp"), tmp_path / "rounded", tmp_path / "made.pt"
+    made, rounded, file = export_once("flowmp"), tmp_path / "rounded", tmp_path / "made.pt"
     shutil.copytree(made.path, rounded)
     assert "training.config.model" in failure("checkpoint", rounded, "--out", file)
     quantize_bundle(rounded)

@@ -11,13 +11,14 @@ import json
 import re
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from exported_bundles import export_once
 from PIL import Image
 from served import TRANSPORTS, client_over
 from small_v2x import IMAGE_SIZE, PROMPTS, small_sizes
@@ -47,14 +48,14 @@ SIZE = (90, 70)  # H, W of the pictures that are sent
 
 
 @pytest.fixture(scope="module")
-def model(exported: Callable[[str], Any]) -> Iterator[V2XVLM]:
+def model() -> Iterator[V2XVLM]:
     with small_sizes():
-        yield exported("v2x_vlm").network
+        yield export_once("v2x_vlm").network
 
 
 @pytest.fixture(scope="module")
-def bundle(exported: Callable[[str], Any]) -> Path:
-    return exported("v2x_vlm").path
+def bundle() -> Path:
+    return export_once("v2x_vlm").path
 
 
 @pytest.fixture(scope="module")

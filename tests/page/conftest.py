@@ -152,14 +152,6 @@ def guarded(tmp_path: Path) -> Iterator[Served]:
     guarded.stop()
 
 
-@pytest.fixture(scope="session")
-def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder for screenshots: ANCHORFLOW_ARTEFACTS, or a temporary one."""
-    folder = Path(os.environ.get("ANCHORFLOW_ARTEFACTS") or tmp_path_factory.mktemp("page"))
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
-
-
 class Visit:
     """An open page, with points of the map in metres and the responses of the service."""
 
@@ -245,6 +237,11 @@ class Visit:
         left = [error for error in self.errors if not any(each in error for each in reasons)]
         assert len(left) < len(self.errors)
         self.errors[:] = left
+
+    def keep(self, name: str, *, full_page: bool = False) -> None:
+        """Write a screenshot to look at into ANCHORFLOW_ARTEFACTS, if that names a folder."""
+        if folder := os.environ.get("ANCHORFLOW_ARTEFACTS"):
+            self.page.screenshot(path=Path(folder) / name, full_page=full_page)
 
     def picture(self) -> bytes:
         """Return a screenshot of the map."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from itertools import compress, pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,11 +27,11 @@ def crosses(trajectory: Any, cost_map: Any) -> bool:
     return bool(grid[rows, columns].any())
 
 
-def test_it_opens_with_a_map_and_anchors(visit: Any, artefacts: Path, served: Any) -> None:
+def test_it_opens_with_a_map_and_anchors(visit: Any, served: Any) -> None:
     expect(visit.locate("#best tbody tr")).to_have_count(10)
     expect(visit.locate("#charts svg")).to_have_count(3)
     expect(visit.locate("#link-text")).to_contain_text("flowmp")
-    visit.page.screenshot(path=artefacts / "page.png")
+    visit.keep("page.png")
 
     hosts = visit.page.evaluate("performance.getEntriesByType('resource').map(e => e.name)")
     assert hosts
@@ -55,7 +54,7 @@ def test_nothing_can_be_chosen_before_a_planner_is_known(open_page: Callable[...
     assert visit.errors == []
 
 
-def test_the_best_anchor_goes_round_risk_that_is_painted(visit: Any, artefacts: Path) -> None:
+def test_the_best_anchor_goes_round_risk_that_is_painted(visit: Any) -> None:
     visit.choose_empty_map()
     visit.locate("#layer").select_option("risk")
     expect(visit.locate("#cost")).to_be_visible()
@@ -68,7 +67,7 @@ def test_the_best_anchor_goes_round_risk_that_is_painted(visit: Any, artefacts: 
         ),
     )
     visit.page.wait_for_timeout(300)
-    visit.page.screenshot(path=artefacts / "page_risk.png")
+    visit.keep("page_risk.png")
     assert not visit.occupied(answered.asked).any()
     assert np.min(answered.asked["cost_map"]["data"][1]) == 1.0
 
@@ -81,7 +80,7 @@ def test_the_best_anchor_goes_round_risk_that_is_painted(visit: Any, artefacts: 
     assert near.min() > 0.7
 
 
-def test_anchors_go_round_a_wall_that_is_drawn(visit: Any, artefacts: Path) -> None:
+def test_anchors_go_round_a_wall_that_is_drawn(visit: Any) -> None:
     before = visit.choose_empty_map()
     visit.page.wait_for_timeout(300)
     picture = visit.picture()
@@ -101,7 +100,7 @@ def test_anchors_go_round_a_wall_that_is_drawn(visit: Any, artefacts: Path) -> N
         timeout=PATIENCE_MS,
     )
     visit.wait_for_another_picture(picture)
-    visit.page.screenshot(path=artefacts / "wall.png")
+    visit.keep("wall.png")
 
 
 def test_what_was_painted_can_be_undone_and_erased(visit: Any) -> None:
@@ -197,7 +196,7 @@ def test_the_form_sets_the_fields_of_the_request(visit: Any) -> None:
     expect(visit.locate("#sampler-schedule-uniform")).to_be_disabled()
 
 
-def test_the_robot_has_the_limits_of_the_card(visit: Any, artefacts: Path) -> None:
+def test_the_robot_has_the_limits_of_the_card(visit: Any) -> None:
     own_times = re.compile(r"anchors are safe, \d+\.\d to \d+\.\d s\.$")
     expect(visit.locate("#summary")).to_have_text(own_times, timeout=PATIENCE_MS)
     expect(visit.locate("#v_max-hint")).to_contain_text("0.2 to 6 m/s.")
@@ -217,7 +216,7 @@ def test_the_robot_has_the_limits_of_the_card(visit: Any, artefacts: Path) -> No
     expect(charts).to_contain_text("25.0 s", timeout=PATIENCE_MS)
     expect(charts).to_contain_text("limit 0.5")
     visit.locate("#refine-guidance").scroll_into_view_if_needed()
-    visit.page.screenshot(path=artefacts / "another-robot.png")
+    visit.keep("another-robot.png")
     visit.locate("#horizon_s").fill("")
     free = visit.answer(
         lambda: visit.page.keyboard.press("Tab"), lambda asked: "horizon_s" not in asked
@@ -314,7 +313,7 @@ def test_while_the_goal_is_dragged_one_request_is_out_and_the_newest_wins(visit:
     ],
 )
 def test_an_end_comes_back_from_the_edge(
-    visit: Any, artefacts: Path, name: str, edge: tuple[float, float], key: str | None
+    visit: Any, name: str, edge: tuple[float, float], key: str | None
 ) -> None:
     visit.choose_empty_map()
     field = {"start": "x_curr", "goal": "x_goal"}[name]
@@ -327,7 +326,7 @@ def test_an_end_comes_back_from_the_edge(
         away = visit.answer(
             lambda: visit.page.keyboard.press(key), lambda asked: asked[field][2] != 0
         )
-    visit.page.screenshot(path=artefacts / f"{name}-at-the-edge.png")
+    visit.keep(f"{name}-at-the-edge.png")
 
     back = visit.answer(
         lambda: visit.drag_end(name, (1.0, 2.0)), lambda asked: asked[field] != away.asked[field]

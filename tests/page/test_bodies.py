@@ -33,7 +33,7 @@ def turned(asked: Any, heading: float) -> bool:
     return asked["x_curr"][2] == pytest.approx(heading, abs=0.05)
 
 
-def test_a_rectangle_on_wheels_is_sent_and_answered_with_poses(cart: Any, artefacts: Path) -> None:
+def test_a_rectangle_on_wheels_is_sent_and_answered_with_poses(cart: Any) -> None:
     asked, answered = cart.exchange.asked, cart.exchange.answered
 
     assert cart.exchange.status == 200
@@ -45,7 +45,7 @@ def test_a_rectangle_on_wheels_is_sent_and_answered_with_poses(cart: Any, artefa
     expect(cart.locate("#replay")).to_be_disabled()
     expect(cart.locate("#sampler-method")).to_be_hidden()
     expect(cart.locate("#kinematics-reverse")).to_be_visible()
-    cart.page.screenshot(path=artefacts / "body.png")
+    cart.keep("body.png")
 
 
 def test_the_tip_turns_the_start_and_keys_turn_it_further(cart: Any) -> None:
@@ -95,7 +95,7 @@ def test_a_body_is_saved_opened_and_copied(
     expect(cart.locate("#scene-note")).to_have_text("scene.json is open.")
 
 
-def test_the_robot_drives_along_its_heading(cart: Any, artefacts: Path) -> None:
+def test_the_robot_drives_along_its_heading(cart: Any) -> None:
     cart.locate("#drive").click()
     states: list[np.ndarray] = []
 
@@ -109,7 +109,7 @@ def test_the_robot_drives_along_its_heading(cart: Any, artefacts: Path) -> None:
         sideways = state[4] * np.cos(state[2]) - state[3] * np.sin(state[2])
         assert abs(sideways) < 0.05
     assert driven.asked["x_goal"][2] == pytest.approx(0.0, abs=0.02)
-    cart.page.screenshot(path=artefacts / "body-drive.png")
+    cart.keep("body-drive.png")
     cart.locate("#drive").click()
     expect(cart.locate("#drive")).to_have_text("Drive", timeout=PATIENCE_MS)
 

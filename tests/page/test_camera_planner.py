@@ -6,7 +6,6 @@ import base64
 import io
 import json
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import printed_by
 from image_planner import HEIGHT, TIMES, WIDTH, expected
 from PIL import Image
 
@@ -99,7 +99,7 @@ def test_there_are_no_tools_of_the_map(camera: Any) -> None:
         expect(camera.locate(tool)).to_be_hidden()
 
 
-def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path, artefacts: Path) -> None:
+def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path) -> None:
     file = picture(tmp_path)
     fill_in(camera, file, "8, 0.5 0;0")
     expect(camera.locate("#summary")).to_have_text("What is asked has changed: plan again.")
@@ -124,7 +124,7 @@ def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path, artefacts
     read = np.array([row.replace("−", "-").split() for row in rows], float)
     np.testing.assert_allclose(read, np.column_stack([TIMES, paths[0]]), atol=0.005001)
     expect(camera.locate("#anchor-figures")).to_contain_text(f"{TIMES[-1]:.1f} s")
-    camera.page.screenshot(path=artefacts / "camera.png")
+    camera.keep("camera.png")
 
 
 def test_every_anchor_is_drawn_where_it_leads(camera: Any, tmp_path: Path) -> None:
@@ -340,7 +340,7 @@ def test_the_copied_requests_run_and_give_the_same(
     fill_in(camera, picture(tmp_path), "3, 0, 0, 0")
     shown = plan(camera).answered
 
-    told = json.loads(run("bash", copied(camera, "#copy-curl")))
+    told = json.loads(printed_by("bash", copied(camera, "#copy-curl")))
     assert told["trajectories"] == shown["trajectories"]
     assert told["bev_semantics"] == shown["bev_semantics"]
 
@@ -348,19 +348,11 @@ def test_the_copied_requests_run_and_give_the_same(
 import json
 print("JSON", anchors.trajectories.tolist())
 """
-    paths = json.loads(run(sys.executable, program).rpartition("JSON ")[2])
+    paths = json.loads(printed_by(sys.executable, program).rpartition("JSON ")[2])
     np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
 
 
-def run(shell: str, program: str) -> str:
-    """Run a program and return what it prints."""
-    ran = subprocess.run(
-        [shell, "-c", program], check=True, capture_output=True, text=True, timeout=120
-    )
-    return ran.stdout
-
-
-def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any, artefacts: Path) -> None:
+def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any) -> None:
     phone: dict[str, Any] = {"has_touch": True, "is_mobile": True, "color_scheme": "dark"}
     visit = open_page(served_all.url, viewport={"width": 390, "height": 844}, **phone)
     visit.choose_camera()
@@ -368,5 +360,5 @@ def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any, artef
     assert plan(visit).status == 200
     expect(visit.locate("#summary")).to_contain_text("saw nothing in camera, ego_status.")
     assert visit.page.evaluate("document.documentElement.scrollWidth") == 390
-    visit.page.screenshot(path=artefacts / "camera-phone.png", full_page=True)
+    visit.keep("camera-phone.png", full_page=True)
     assert visit.errors == []

@@ -72,7 +72,7 @@ def drawn(frame: dict[str, Any]) -> np.ndarray:
 
 
 def test_the_slider_asks_about_its_time_and_draws_the_answer(
-    driving: Any, drive: dict[str, Any], tmp_path: Path, artefacts: Path
+    driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
     first = opened(driving, drive, tmp_path)
     frames = drive["frames"]
@@ -98,7 +98,7 @@ def test_the_slider_asks_about_its_time_and_draws_the_answer(
     assert driving.locate("#birds-eye").screenshot() != before
     shown = driving.locate("#input-ego_status").input_value().split(", ")
     assert [*map(float, shown)] == frames[-1]["inputs"]["ego_status"]
-    driving.page.screenshot(path=artefacts / "drive.png")
+    driving.keep("drive.png")
 
 
 def test_keys_and_the_play_button_go_through_the_drive(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,7 +29,7 @@ def test_the_first_load_with_its_first_answer_is_small(open_page: Callable[..., 
 
 
 def test_scores_that_are_all_tiny_are_told_apart(
-    open_page: Callable[..., Any], served_all: Any, artefacts: Path
+    open_page: Callable[..., Any], served_all: Any
 ) -> None:
     """GoalFlow on an empty raster gives such scores."""
     visit = open_page(served_all.url)
@@ -45,4 +44,4 @@ def test_scores_that_are_all_tiny_are_told_apart(
     expect(visit.locate("#best tbody td:nth-child(2)").first).to_have_text(tiny)
     expect(visit.locate("#anchor-figures")).to_have_text(tiny)
     expect(visit.locate("#birds-eye-legend span").last).to_have_text(tiny)
-    visit.page.screenshot(path=artefacts / "tiny-scores.png")
+    visit.keep("tiny-scores.png")

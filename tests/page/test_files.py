@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import printed_by
 from PIL import Image
 from ros_maps import drawing, map_files, pgm
 
@@ -163,24 +163,16 @@ def test_the_copied_requests_run_and_give_the_same(
         lambda asked: (asked["num_samples"], asked["refine"]["safety_margin"]) == (4, 0.15),
     ).answered
 
-    paths = json.loads(run("bash", copied(visit, "#copy-curl")))["trajectories"]
+    paths = json.loads(printed_by("bash", copied(visit, "#copy-curl")))["trajectories"]
     np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-6)
 
     program = f"""{copied(visit, "#copy-python")}
 import json
 print("JSON", anchors.trajectories.tolist())
 """
-    said, _, paths = run(sys.executable, program).rpartition("JSON ")
+    said, _, paths = printed_by(sys.executable, program).rpartition("JSON ")
     assert f"{shown['safe'].count(True)} of 4 anchors are safe" in said
     np.testing.assert_allclose(json.loads(paths), shown["trajectories"], atol=1e-5)
-
-
-def run(shell: str, program: str) -> str:
-    """Run a program and return what it prints."""
-    ran = subprocess.run(
-        [shell, "-c", program], check=True, capture_output=True, text=True, timeout=120
-    )
-    return ran.stdout
 
 
 def test_a_copy_without_the_clipboard_leaves_the_focus_where_it_is(visit: Any) -> None:

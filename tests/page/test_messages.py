@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +22,7 @@ SHOWN = "what is shown is its last answer."
 """The end of the summary if the newest request has no response."""
 
 
-def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Path) -> None:
+def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any) -> None:
     visit.choose_empty_map()
     spot = visit.at((1.0, 1.0))
     visit.drag(spot, spot)
@@ -49,7 +48,7 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Pat
     visit.locate("#best tbody tr").nth(3).hover()
     expect(visit.locate("#anchor-name")).to_contain_text(re.compile(r"^Anchor \d+$"))
     expect(summary).to_have_text(f"The service refused: {SHOWN}")
-    visit.page.screenshot(path=artefacts / "goal-in-obstacle.png")
+    visit.keep("goal-in-obstacle.png")
 
     visit.drag_end("goal", (3.0, 1.0))
     expect(bubble).to_be_hidden(timeout=PATIENCE_MS)
@@ -58,9 +57,7 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any, artefacts: Pat
     visit.forget_errors(REFUSED)
 
 
-def test_a_map_planner_that_refuses_shows_nothing_of_the_one_before(
-    camera: Any, artefacts: Path
-) -> None:
+def test_a_map_planner_that_refuses_shows_nothing_of_the_one_before(camera: Any) -> None:
     refusal = {"error": {"code": "invalid_request", "message": "seed: no"}}
     camera.page.route("**/anchors", lambda route: route.fulfill(status=422, json=refusal))
 
@@ -72,20 +69,18 @@ def test_a_map_planner_that_refuses_shows_nothing_of_the_one_before(
         expect(camera.locate(told)).to_be_empty()
     expect(camera.locate("#best thead th")).to_have_count(0)
     expect(camera.locate("#legend")).to_be_hidden()
-    camera.page.screenshot(path=artefacts / "refused-at-first.png")
+    camera.keep("refused-at-first.png")
     camera.forget_errors(REFUSED)
 
 
-def test_a_service_that_stops_is_missed_and_taken_up_again(
-    visit: Any, served: Any, artefacts: Path
-) -> None:
+def test_a_service_that_stops_is_missed_and_taken_up_again(visit: Any, served: Any) -> None:
     visit.choose_empty_map()
     served.stop()
     try:
         expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
         expect(visit.locate("#banner-text")).to_contain_text("The service does not answer.")
         expect(visit.locate("#link-text")).to_have_text("Not connected")
-        visit.page.screenshot(path=artefacts / "stopped.png")
+        visit.keep("stopped.png")
         visit.drag_end("goal", (-3.0, -3.0))
         back = visit.answer(
             served.start,
@@ -122,7 +117,7 @@ def test_a_service_that_is_overloaded_is_waited_for(visit: Any) -> None:
 
 
 def test_what_the_service_still_compiles_is_waited_for_and_does_without(
-    open_page: Callable[..., Any], artefacts: Path
+    open_page: Callable[..., Any],
 ) -> None:
     def not_ready(message: str, field: str | None = None) -> Callable[[Any], None]:
         error = {"code": "not_ready", "message": message, "field": field}
@@ -134,7 +129,7 @@ def test_what_the_service_still_compiles_is_waited_for_and_does_without(
     banner = visit.locate("#banner-text")
     expect(banner).to_have_text("The service is starting: it compiles. This page waits for it.")
     expect(visit.locate("#retry")).to_be_hidden()
-    visit.page.screenshot(path=artefacts / "starting.png")
+    visit.keep("starting.png")
     visit.page.unroute("**/openapi.json")
     visit.wait_for_anchors()
     expect(visit.locate("#banner")).to_be_hidden()

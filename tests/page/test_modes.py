@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,7 +50,7 @@ def test_colours_stand_for_what_is_chosen(visit: Any) -> None:
         visit.wait_for_another_picture(picture)
 
 
-def test_the_flow_is_replayed(visit: Any, artefacts: Path) -> None:
+def test_the_flow_is_replayed(visit: Any) -> None:
     visit.page.wait_for_timeout(300)
     finished = visit.picture()
 
@@ -65,7 +64,7 @@ def test_the_flow_is_replayed(visit: Any, artefacts: Path) -> None:
     visit.locate("#flow-time").fill("0")
     expect(visit.locate("#flow-text")).to_have_text("t = 0.00")
     visit.wait_for_another_picture(finished)
-    visit.page.screenshot(path=artefacts / "flow.png")
+    visit.keep("flow.png")
     visit.page.keyboard.press("Escape")
     expect(visit.locate("#scrub")).to_be_hidden()
 
@@ -100,7 +99,7 @@ def test_an_answer_ends_the_replay_of_the_one_before(visit: Any, open_by_then: b
     expect(visit.locate("#replay")).to_have_text("Replay the flow")
 
 
-def test_a_robot_drives_and_plans_again(visit: Any, artefacts: Path) -> None:
+def test_a_robot_drives_and_plans_again(visit: Any) -> None:
     visit.choose_empty_map()
     visit.locate("#num_samples").fill("16")
 
@@ -111,7 +110,7 @@ def test_a_robot_drives_and_plans_again(visit: Any, artefacts: Path) -> None:
     later = visit.answer(
         lambda: None, lambda asked: "warm_start" in asked and asked["x_curr"][0] > -3.5
     )
-    visit.page.screenshot(path=artefacts / "drive.png")
+    visit.keep("drive.png")
 
     assert first.asked["x_curr"][:2] == pytest.approx([-4.0, 0.0], abs=0.1)
     assert later.asked["x_curr"][2] > 0.1
@@ -235,7 +234,7 @@ def test_every_tool_is_in_reach(visit: Any) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_phone_is_enough(open_page: Callable[..., Any], artefacts: Path, scheme: str) -> None:
+def test_a_phone_is_enough(open_page: Callable[..., Any], scheme: str) -> None:
     visit = open_page(viewport={"width": 390, "height": 844}, color_scheme=scheme, **PHONE)
     visit.wait_for_anchors()
     width = visit.page.evaluate("document.documentElement.scrollWidth")
@@ -247,7 +246,7 @@ def test_a_phone_is_enough(open_page: Callable[..., Any], artefacts: Path, schem
 
     assert width == 390
     assert visit.occupied(tapped.asked)[18, 68]
-    visit.page.screenshot(path=artefacts / f"phone-{scheme}.png", full_page=True)
+    visit.keep(f"phone-{scheme}.png", full_page=True)
     assert visit.errors == []
 
 

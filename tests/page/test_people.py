@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,7 +38,7 @@ def crossing(visit: Any) -> Any:
     return visit
 
 
-def test_anchors_keep_clear_of_a_person_who_walks(crossing: Any, artefacts: Path) -> None:
+def test_anchors_keep_clear_of_a_person_who_walks(crossing: Any) -> None:
     (person,) = people_in(crossing.exchange.asked)
     answered = crossing.exchange.answered
 
@@ -50,7 +49,7 @@ def test_anchors_keep_clear_of_a_person_who_walks(crossing: Any, artefacts: Path
     times = np.arange(paths.shape[1]) * dts[:, None]
     apart = np.hypot(*(paths - person[:2] - times[..., None] * person[2:4]).transpose(2, 0, 1))
     assert apart[answered["safe"]].min() > person[4] + ROBOT_RADIUS
-    crossing.page.screenshot(path=artefacts / "people.png")
+    crossing.keep("people.png")
 
 
 def test_a_person_is_moved_and_removed_by_keyboard(crossing: Any) -> None:
@@ -88,7 +87,7 @@ def test_people_are_put_by_keyboard_and_erased(visit: Any) -> None:
     visit.answer(lambda: visit.drag(above, below), lambda asked: not len(people_in(asked)))
 
 
-def test_the_time_bar_shows_who_is_where(crossing: Any, artefacts: Path) -> None:
+def test_the_time_bar_shows_who_is_where(crossing: Any) -> None:
     longest = max(crossing.exchange.answered["dt"]) * 63
     expect(crossing.locate("#walk-text")).to_have_text("0.0 s")
     assert float(crossing.locate("#walk-time").get_attribute("max")) == pytest.approx(
@@ -100,7 +99,7 @@ def test_the_time_bar_shows_who_is_where(crossing: Any, artefacts: Path) -> None
     crossing.locate("#walk-time").fill("2")
     expect(crossing.locate("#walk-text")).to_have_text("2.0 s")
     crossing.wait_for_another_picture(now)
-    crossing.page.screenshot(path=artefacts / "people_later.png")
+    crossing.keep("people_later.png")
 
     crossing.locate("#walk-play").click()
     expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Stop")

@@ -63,7 +63,7 @@ def test_nothing_is_asked_before_there_is_a_picture(visit: Any) -> None:
 
 
 def test_a_picture_goes_in_its_own_size_and_an_optional_one_when_it_is_given(
-    visit: Any, tmp_path: Path, artefacts: Path
+    visit: Any, tmp_path: Path
 ) -> None:
     car = picture(tmp_path, "car.png", width=90, height=50)
     pole = picture(tmp_path, "pole.jpg", width=64, height=80)
@@ -85,7 +85,7 @@ def test_a_picture_goes_in_its_own_size_and_an_optional_one_when_it_is_given(
     jpeg = base64.b64encode(pole.read_bytes()).decode()
     assert both.asked["inputs"] == {**told, "infrastructure_image": {"jpeg": jpeg}}
     assert both.status == 200
-    visit.page.screenshot(path=artefacts / "v2x.png")
+    visit.keep("v2x.png")
 
     visit.locate(".picture button:visible").click()
     expect(visit.locate(".thumbnail:visible")).to_have_count(1)

@@ -6,7 +6,6 @@ import base64
 import json
 import zlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ def test_a_sample_shows_every_shipped_planner_something(name: str) -> None:
 
 
 def test_a_planner_opens_with_its_sample_and_a_phone_shows_it(
-    open_page: Callable[..., Any], served_all: Any, artefacts: Path
+    open_page: Callable[..., Any], served_all: Any
 ) -> None:
     sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     phone: dict[str, Any] = {"has_touch": True, "is_mobile": True}
@@ -67,5 +66,5 @@ def test_a_planner_opens_with_its_sample_and_a_phone_shows_it(
         sync_api.expect(visit.locate("#summary")).to_contain_text(text)
         sync_api.expect(visit.locate("#drive-sample")).to_be_visible()
         assert visit.page.evaluate("document.documentElement.scrollWidth") == 360
-        visit.page.screenshot(path=artefacts / f"sample-{name}.png")
+        visit.keep(f"sample-{name}.png")
     assert visit.errors == []

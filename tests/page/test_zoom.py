@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,9 +22,7 @@ def read(visit: Any) -> tuple[float, float, str]:
     return x, y, ground
 
 
-def test_what_is_drawn_and_dragged_on_a_larger_map_is_where_it_is_shown(
-    visit: Any, artefacts: Path
-) -> None:
+def test_what_is_drawn_and_dragged_on_a_larger_map_is_where_it_is_shown(visit: Any) -> None:
     visit.choose_empty_map()
     metre = visit.locate("#canvas").bounding_box()["width"] / MAP_M
     mouse = visit.page.mouse
@@ -53,7 +50,7 @@ def test_what_is_drawn_and_dragged_on_a_larger_map_is_where_it_is_shown(
     assert told.asked["x_goal"][0] == pytest.approx(4.0, abs=0.03)
     # The start is beyond the part that is shown; dragged with the middle button, it comes back.
     expect(visit.locate("[data-handle=start]")).to_be_hidden()
-    visit.page.screenshot(path=artefacts / "larger.png")
+    visit.keep("larger.png")
     mouse.move(*spot)
     mouse.down(button="middle")
     mouse.move(spot[0] + 3000, spot[1], steps=3)

@@ -1,4 +1,4 @@
-"""Run `anchorflow` commands in this process, and servers in processes of their own."""
+"""Run `anchorflow` commands in this process, and servers and programs in their own."""
 
 from __future__ import annotations
 
@@ -34,6 +34,14 @@ def failure(*arguments: object) -> str:
     assert code.startswith(f"anchorflow {arguments[0]}")
     assert "\n" not in code
     return code
+
+
+def printed_by(shell: str, program: str) -> str:
+    """Run a program by `bash` or Python, which must end with status 0; return what it prints."""
+    ran = subprocess.run(
+        [shell, "-c", program], check=True, capture_output=True, text=True, timeout=120
+    )
+    return ran.stdout
 
 
 class Served:

@@ -1,18 +1,24 @@
-"""A small network of each planner, and its bundle, which is exported once for all tests."""
+"""A small network of each planner, and its bundle, which is exported once for all tests.
+
+An export takes up to a minute, most of it in torch; see `export_once`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
-import os
+import platform
+import shutil
+import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from fcntl import LOCK_EX, flock
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 import tiny_wote
 import torch
 from small_v2x import small_sizes, small_v2x
@@ -28,6 +34,8 @@ from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_trajectory.motion import MotionLimits
 
+ROOT = Path(__file__).parents[2]
+SOURCES = ("client", "trajectory", "models", "training", "service", "export", "tests/planners")
 # Every option of the small preset that the published planner lacks but `driven`, whose rollout is
 # half of a graph's operations: WoTE's bundle proves it.
 DIFFUSION = replace(
@@ -113,14 +121,25 @@ class Exported:
     differences: tuple[Difference, ...]
 
 
-def export_once(network: str, factory: pytest.TempPathFactory) -> Exported:
+def export_once(network: str) -> Exported:
     """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`.
 
-    It is exported once for a session and all its workers, which wait for one another.
+    All workers share the export, and wait for one another. It is kept in .pytest_cache until the
+    code that it comes from changes.
     """
-    folder = factory.getbasetemp()
-    folder = folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder
-    return _exported(network, folder / "exported")
+    return _exported(network, ROOT / ".pytest_cache" / "exported" / _digest())
+
+
+@cache
+def _digest() -> str:
+    """Return a hash of all code and libraries that decide on an export."""
+    hashed = hashlib.sha256(f"{sys.version}, {platform.platform()}".encode())
+    for library in ("torch", "transformers", "tokenizers", "onnx", "onnxscript", "onnxruntime"):
+        hashed.update(f"{library} {version(library)}".encode())
+    for folder in SOURCES:
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            hashed.update(f"{file.relative_to(ROOT)}".encode() + file.read_bytes())
+    return hashed.hexdigest()[:16]
 
 
 @cache
@@ -128,7 +147,10 @@ def _exported(network: str, folder: Path) -> Exported:
     planner, out = network.partition("-")[0], folder / network / "bundle"
     name = f"small-{network.replace('_', '-')}"
     description = BundleDescription(name=name, version="1.0.0", planner=planner)
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    for other in folder.parent.iterdir():
+        if other != folder:  # of code that has changed
+            shutil.rmtree(other, ignore_errors=True)
     with small_sizes(), (folder / f"{network}.json").open("a+") as record:
         made = NETWORKS[network]()
         flock(record, LOCK_EX)

@@ -88,8 +88,8 @@ def camera_planner(factory: pytest.TempPathFactory) -> Planner:
     )
 
 
-def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
-    made = export_once("goalflow", factory)
+def goalflow_planner(_: pytest.TempPathFactory) -> Planner:
+    made = export_once("goalflow")
     assert max(difference.error for difference in made.differences) < 1e-4
     options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
     extras, steps = ("goals", "goal_scores", "trajectory_goals"), GOALFLOW.num_steps
@@ -97,8 +97,8 @@ def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
     return Planner(made.path, goalflow_scene, extras, "ode", steps, "guard", optional, options)
 
 
-def wote_planner(factory: pytest.TempPathFactory) -> Planner:
-    made = export_once("wote", factory)
+def wote_planner(_: pytest.TempPathFactory) -> Planner:
+    made = export_once("wote")
     assert max(part.error for part in made.differences) <= 1e-5
     extras, optional = (*OF_EACH, *OF_THE_SCENE), ("lidar_before", "route")
     return Planner(made.path, wote_scene, extras, "vocabulary", WOTE.num_steps, "guard", optional)

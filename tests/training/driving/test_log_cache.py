@@ -153,6 +153,5 @@ def test_processes_judge_as_the_run_itself_does(logs: list[Path]) -> None:
     speeds = torch.tensor([torch.nan, 3.0, torch.nan])
     wanted = PdmJudge(logs, of_log, direction=True)(*asked, speeds)
     assert len(wanted[..., 2].unique()) > 1
-    for processes in (1, 3):
-        judge = PdmJudge(logs, of_log, direction=True, processes=processes)
-        torch.testing.assert_close(judge(*asked, speeds), wanted, rtol=0, atol=0)
+    judge = PdmJudge(logs, of_log, direction=True, processes=3)
+    torch.testing.assert_close(judge(*asked, speeds), wanted, rtol=0, atol=0)
