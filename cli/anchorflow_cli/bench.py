@@ -24,6 +24,7 @@ BENCHMARKS = {
     "drive-closed-loop": benchmark(
         "driving.closed_loop:drive_closed_loop", "Drive in simulated traffic.", "driving"
     ),
+    "futures": benchmark("driving.futures:futures", "Score predictions of the others.", "driving"),
     "pairs": benchmark("driving.pairs:pairs", "Judge V2X-VLM on pairs.", "train"),
     "closed-loop": benchmark(
         "closed_loop.contest:closed_loop", "Drive a robot past obstacles.", "robot"

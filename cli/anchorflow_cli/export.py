@@ -15,8 +15,11 @@ from anchorflow_client.contract import SamplerChoice
 from anchorflow_client.contract.fields import LIMITS
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.futures import add_futures
 from anchorflow_export.planners import adapter_of, check_used
 from anchorflow_export.quantization import quantize_bundle
+from anchorflow_export.tracing import ExportError
+from anchorflow_models.futures import FuturesNetwork
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, provenance, restore_model
 from anchorflow_training.distillation.teacher import student_schedule
 from anchorflow_trajectory.finish.refiner import DESCENT_RATE
@@ -30,11 +33,16 @@ app = command_app()
 def export(
     checkpoint: Annotated[Path, typer.Argument(help="checkpoint.pt of a training run.")],
     *,
-    out: Annotated[Path, folder_option("Folder of the bundle.")],
+    out: Annotated[
+        Path, folder_option("Folder of the bundle; of futures, the bundle that they are added to.")
+    ],
     name: Annotated[
         str | None, typer.Option(help="Name of the bundle.", show_default="flowmp-small, …")
     ] = None,
-    version: Annotated[str, typer.Option(help="Version of the bundle.")] = "0.1.0",
+    version: Annotated[
+        str | None,
+        typer.Option(help="Version of the bundle.", show_default="0.1.0; with futures as it is"),
+    ] = None,
     method: Annotated[
         str | None,
         typer.Option(help="Default solver of the card.", show_default="rk4; a student's euler"),
@@ -100,11 +108,20 @@ def export(
     }
     asked = {name: value for name, value in asked.items() if value is not None}
     check_used(saved.planner, [*asked, *(["int8"] if int8 else [])])
+    if isinstance(model, FuturesNetwork):
+        if name is not None:
+            raise ExportError(f"name: expected none, as {out} has one, got {name}")
+        training = provenance(saved)
+        with _sigterm_cleans_up():
+            for difference in add_futures(model, out, training=training, version=version):
+                typer.echo(str(difference))
+        typer.echo(f"{out}: with futures")
+        return
     asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
     choices = ExportChoices(**{**_limits(saved), **asked})
     description = BundleDescription(
         name=_name(saved) if name is None else name,
-        version=version,
+        version=version or "0.1.0",
         planner=saved.planner,
         training={**provenance(saved), **_chosen(choices)},
     )
@@ -114,7 +131,7 @@ def export(
             typer.echo(str(difference))
         if int8:
             typer.echo(str(quantize_bundle(out)))
-    typer.echo(f"{out}: {description.name} {version}")
+    typer.echo(f"{out}: {description.name} {description.version}")
 
 
 @contextmanager

@@ -47,6 +47,10 @@ LIDAR_BEFORE_S = 0.5
 
 ROUTE_POINTS, ROUTE_SPACING_M = 40, 2.0
 """Points of a planner's route, and their distance."""
+OTHERS = 48
+"""The most of whom a planner is told."""
+OTHERS_TIMES_S = (-2.0, -1.5, -1.0, -0.5, 0.0)
+"""s from now, for which it is told where they were."""
 SAME_POINT = 1e-6  # m; nearer points of a polyline are one
 
 
@@ -279,3 +283,44 @@ def _cubic(x: NDArray[Any]) -> NDArray[Any]:
     near = ((a + 2) * x - (a + 3)) * x * x + 1
     far = ((x - 5) * x + 8) * x * a - 4 * a
     return np.where(x < 1, near, np.where(x < 2, far, 0.0))
+
+
+def others_before(states: ArrayLike, size: ArrayLike, kind: ArrayLike) -> Floats:
+    """Return what a planner that predicts others is told of them: [48, 5, 8], the nearest first.
+
+    Each number is told for OTHERS_TIMES_S: x, y (m), heading (rad), velocity x, y (m/s), length,
+    width (m) of the box, and its kind: 1 vehicle, 2 person, 3 cyclist, 0 nobody. Whoever is not
+    there now is left out; of more than 48 the nearest are told.
+
+    Args:
+        states: [K, 5, 5] x, y, heading, velocity x, y of the boxes' middles at OTHERS_TIMES_S; NaN
+            where somebody was not there yet.
+        size: [K, 2] length, width.
+        kind: [K], 1 to 3.
+
+    Raises:
+        InvalidRequest: names `states`, `size` or `kind`.
+    """
+    moves, boxes, kinds = (
+        as_array(value, name, np.float64)
+        for name, value in (("states", states), ("size", size), ("kind", kind))
+    )
+    count, times = len(moves), len(OTHERS_TIMES_S)
+    for name, array, shape in (
+        ("states", moves, (count, times, 5)),
+        ("size", boxes, (count, 2)),
+        ("kind", kinds, (count,)),
+    ):
+        if array.shape != shape:
+            raise InvalidRequest(f"expected {[*shape]}, got {list(array.shape)}", name)
+    if not np.isin(kinds, (1, 2, 3)).all():
+        raise InvalidRequest("expected 1, 2 or 3", "kind")
+    away = np.hypot(moves[:, -1, 0], moves[:, -1, 1])
+    order = np.argsort(away, kind="stable")[:OTHERS]  # NaN comes last
+    order = order[np.isfinite(away[order])]
+    told = np.concatenate([boxes, kinds[:, None]], 1)[order, None].repeat(times, 1)
+    rows = np.concatenate([moves[order], told], -1)
+    rows[~np.isfinite(rows).all(-1)] = 0.0
+    others = np.zeros((OTHERS, times, 8), np.float32)
+    others[: len(rows)] = rows
+    return others

@@ -62,7 +62,8 @@ def export_bundle(
         parts = adapter.parts
         manifest = _manifest(parts, description)  # Refuse it before a minute of tracing.
         graphs = {
-            role: _write(graph, folder / f"{role}.onnx") for role, graph in adapter.trace().items()
+            role: write_graph(graph, folder / f"{role}.onnx")
+            for role, graph in adapter.trace().items()
         }
         files = {
             role: _write_file(folder / name, data) for role, (name, data) in parts.files.items()
@@ -91,7 +92,8 @@ def record_quality(bundle: Path, quality: Mapping[str, Any]) -> None:
         raise BundleError(bundle, f"its manifest cannot be written: {error}") from error
 
 
-def _write(graph: TracedGraph, path: Path) -> GraphEntry:
+def write_graph(graph: TracedGraph, path: Path) -> GraphEntry:
+    """Write a graph as a file, and return its entry in the manifest."""
     data = graph.model.SerializeToString(deterministic=True)
     path.write_bytes(data)
     return GraphEntry(

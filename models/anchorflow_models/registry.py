@@ -14,6 +14,7 @@ from torch import nn
 
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, create_diffusiondrive
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
+from anchorflow_models.futures import FuturesConfig, FuturesNetwork
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.v2x_vlm import V2XConfig, create_v2x_vlm
 from anchorflow_models.wote import WoteConfig, create_wote
@@ -40,6 +41,7 @@ PLANNERS: Mapping[str, Planner] = {
         Planner("wote", WoteConfig, create_wote),
         Planner("diffusiondrive", DiffusionDriveConfig, create_diffusiondrive),
         Planner("v2x_vlm", V2XConfig, create_v2x_vlm),
+        Planner("futures", FuturesConfig, FuturesNetwork),
     )
 }
 

@@ -12,9 +12,11 @@ from exported_bundles import export_once
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import ego_status
 from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.futures import others_spec
 from anchorflow_export.parity import prove_parity
 from anchorflow_export.planners.goalflow import WEIGHTS, goalflow_adapter
 from anchorflow_export.tracing import ExportError
+from anchorflow_models.futures import FuturesConfig
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import ScoreWeights
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -118,7 +120,8 @@ def test_a_score_has_the_weights_of_the_export_or_of_the_request(asked: LocalCli
 def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:
     adapter = goalflow_adapter(GoalFlow(GoalFlowConfig()), ExportChoices())
     manifest = load_bundle(SHIPPED).manifest
-    assert manifest.request.inputs == adapter.parts.inputs
+    others = others_spec(FuturesConfig())  # of the graph beside
+    assert manifest.request.inputs == (*adapter.parts.inputs, others)
     assert manifest.graphs["encode"].inputs == adapter.parts.inputs
 
 

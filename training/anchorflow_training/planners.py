@@ -14,6 +14,7 @@ from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
     DiffusionDriveRunConfig,
 )
+from anchorflow_training.driving.futures_run import FuturesRun, FuturesRunConfig
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.windows import open_windows
@@ -46,6 +47,7 @@ TRAININGS: Mapping[str, Training] = {
         Training(WoteRunConfig, open_logs, WoteRun),
         Training(DiffusionDriveRunConfig, open_logs, DiffusionDriveRun),
         Training(V2XRunConfig, open_pairs, V2XRun),
+        Training(FuturesRunConfig, open_windows, FuturesRun),
     )
 }
 

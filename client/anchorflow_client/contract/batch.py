@@ -38,6 +38,8 @@ MOTIONS = ("trajectories", "velocities", "accelerations")
 WITHIN = Interval(0.0, math.inf, "m", open_high=True)
 """Allowed distances of an anchor's end from a route."""
 COUNT = Interval(1, 2**31)
+FUTURES, FUTURE_PROBABILITIES = "futures", "future_probabilities"
+"""The extras of a planner that predicts the others."""
 MIN_MOVE = 1.0
 """m; an anchor that moves less than this from its start counts as standing."""
 NEAR = 128.0
@@ -165,6 +167,17 @@ class AnchorBatch:
         Anchors with the same number pass every obstacle, still or moving, on the same side.
         """
         return self.arrays.get("routes")
+
+    @property
+    def futures(self) -> NDArray[np.float32]:
+        """[A,M,T,3] poses of the middles of the A others' boxes, in M modes, at the times of a plan
+        without delay. This and the next raise `AbsentError` unless `outputs` named them."""
+        return self._given(FUTURES)
+
+    @property
+    def future_probabilities(self) -> NDArray[np.float32]:
+        """[A,M], of the modes of each of the others; zeros in the rows of nobody."""
+        return self._given(FUTURE_PROBABILITIES)
 
     @property
     def durations(self) -> NDArray[np.float64]:

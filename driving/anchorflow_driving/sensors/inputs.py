@@ -30,6 +30,13 @@ def _bev(view: PlannerView, _: TensorSpec) -> NDArray[np.uint8]:
     return draw_bev(view)
 
 
+def _others(view: PlannerView, _: TensorSpec) -> NDArray[np.float32]:
+    # Here, as the raster, whose extent it has.
+    from anchorflow_driving.sensors.others import others_seen
+
+    return others_seen(view)
+
+
 def _camera(view: PlannerView, spec: TensorSpec) -> NDArray[np.uint8]:
     """Stitch recorded pictures or, if there are none, simulated ones, in the card's size."""
     rows, columns = (int(size) for size in spec.shape[-2:])
@@ -69,6 +76,7 @@ SENSORS: Mapping[str, Sensor] = {
     "ego_status": lambda view, _: status_of(view),
     "lidar": _lidar,
     "lidar_before": _lidar_before,
+    "others": _others,
     "route": lambda view, _: route_ahead(view.route.points),
     "vehicle_size": lambda view, _: view.vehicle.size.astype(np.float32),
 }

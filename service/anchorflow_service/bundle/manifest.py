@@ -32,7 +32,7 @@ from anchorflow_client.contract import (
     TimeSpec,
     VocabularySpec,
 )
-from anchorflow_client.contract.batch import ARRAY_DTYPES
+from anchorflow_client.contract.batch import ARRAY_DTYPES, FUTURES
 from anchorflow_client.contract.card import CONDITIONINGS, FINISHES, SAMPLERS, part_of
 from anchorflow_client.contract.fields import LIMITS
 from anchorflow_client.oip_codec import RESERVED
@@ -46,6 +46,8 @@ from anchorflow_service.bundle.entries import (
 
 FORMAT = 2
 FILE_NAME = "manifest.json"
+OTHERS = "others"
+"""The input that tells who else is there, of the graph `futures`."""
 RAW_POSITIONS = "raw_positions"
 """An extra of every spline finish: the positions as they were sampled, before it."""
 FIELDS_OF_ANSWER = {item.name for item in fields(AnchorBatch)}
@@ -171,6 +173,20 @@ class Manifest(Entry):
                 yield f"answer.extras: {spec.name!r} is a name that every answer has"
         if isinstance(self.finish, GuardEntry):
             yield from self._guard_faults(self.finish)
+        if FUTURES in self.graphs:
+            yield from self._futures_faults(self.graphs[FUTURES])
+
+    def _futures_faults(self, graph: GraphEntry) -> Iterator[str]:
+        asked = [spec.name for spec in self.request.inputs]
+        for name in graph.input_names:
+            if name not in asked:
+                yield f"graphs.{FUTURES}.inputs: {name!r} is not one of {', '.join(asked)}"
+        if OTHERS not in graph.input_names:
+            yield f"graphs.{FUTURES}.inputs: expected {OTHERS}, got {', '.join(graph.input_names)}"
+        extras = {spec.name for spec in self.answer.extras}
+        for name in graph.output_names:
+            if name not in extras:
+                yield f"graphs.{FUTURES}.outputs: {name!r} is none of the extras"
 
     def _guard_faults(self, guard: GuardEntry) -> Iterator[str]:
         encode = self.graphs.get("encode")
@@ -188,6 +204,12 @@ class Manifest(Entry):
             yield "finish: expected occupied, agents or both, got none"
         if self.answer.components != ("x", "y", "heading"):
             yield "finish: expected the components x, y and heading of a car's anchors"
+
+    @property
+    def sampled_extras(self) -> tuple[TensorSpec, ...]:
+        """Extras that the sampler's graphs give; the others are outputs of the graph `futures`."""
+        own = self.graphs[FUTURES].output_names if FUTURES in self.graphs else ()
+        return tuple(spec for spec in self.answer.extras if spec.name not in own)
 
     @property
     def D(self) -> int:

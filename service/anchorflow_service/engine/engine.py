@@ -12,6 +12,7 @@ from typing import TypeGuard
 import numpy as np
 
 from anchorflow_client.contract import AnchorBatch, ModelCard, ResolvedRequest, resolve_for_card
+from anchorflow_client.contract.batch import FUTURES
 from anchorflow_client.errors import InvalidRequest, UnknownModel
 from anchorflow_service.bundle import Bundle, BundleError
 from anchorflow_service.bundle.graphs import OnnxGraphs
@@ -20,6 +21,7 @@ from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import FINISHES
+from anchorflow_service.engine.futures import OthersFutures
 from anchorflow_service.engine.interfaces import (
     DT,
     SAFE,
@@ -63,7 +65,8 @@ class Engine:
 
     threads: the most that one request keeps busy; None: the cores that this process may use
     provider: of the graphs: "cpu", "cuda", "tensorrt" or "openvino"
-    graphs: run in place of the bundle's own, such as those of the network that it was exported from
+    graphs: run in place of the bundle's own, such as those of the network that it was exported
+        from; they give no `futures`, which another network predicts
 
     Raises:
         BundleError: the graphs of the bundle do not fit together, one cannot be opened or differs
@@ -86,7 +89,10 @@ class Engine:
         self._conditioning = CONDITIONINGS[manifest.conditioning.kind](bundle)
         for fault in chain(kind.faults(manifest), self._conditioning.faults()):
             raise bundle.fault(fault)
+        is_own = graphs is None
         graphs = graphs or OnnxGraphs(bundle, threads=self._threads, provider=provider)
+        predicts = is_own and FUTURES in manifest.graphs
+        self._futures = OthersFutures(manifest, graphs) if predicts else None
         self.sampler: Sampler = kind(manifest, graphs, threads=self._threads)
         self._finish = FINISHES[manifest.finish.kind](manifest, threads=self._threads)
         self._poses = PosePlanner(manifest, threads=self._threads)
@@ -184,7 +190,9 @@ class Engine:
         """Plan once. Raises `BundleError` if that fails or gives nonsense."""
         try:
             asked = resolve_for_card(self._conditioning.probe(), self.card)
-            probe = replace(asked, num_samples=min(PROBED, asked.num_samples))
+            outputs = self._futures.names if self._futures else ()
+            few = min(PROBED, asked.num_samples)
+            probe = replace(asked, num_samples=few, outputs=outputs)
             self.sampler.settle(self._scenes(probe)[0])
             batch = self.plan(probe)
         except Exception as error:  # onnxruntime's exceptions share no public base
@@ -220,7 +228,8 @@ class Engine:
         check()
         with clock.stage("sample"):
             samples = self.sampler.sample(scene, context, threads=threads, check=check)
-        return replace(samples, context=context)
+            futures = self._futures.predict(scene) if self._futures else {}
+        return replace(samples, context=context, arrays={**samples.arrays, **futures})
 
     def _draws_ways(self, scene: ConditionedScene) -> TypeGuard[MapScene]:
         """Whether the anchors of a scene are drawn without a network."""

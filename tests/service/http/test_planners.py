@@ -24,10 +24,14 @@ from tiny_wote import sensors, tiny_wote
 
 from anchorflow_client import AnchorBatch
 from anchorflow_client.base_client import BaseClient
+from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
+from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes
+from anchorflow_export.futures import add_futures
+from anchorflow_models.futures import FuturesConfig, FuturesNetwork
 from anchorflow_service.bundle import BundleError, load_bundle
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.local import LocalClient
@@ -51,7 +55,12 @@ def camera_scene(scene: int) -> Inputs:
 def goalflow_scene(scene: int) -> Inputs:
     view = Scenes(bend(scene % 2))[scene // 2].view
     size = view.vehicle.size.astype(np.float32)
-    return {"bev": draw_bev(view), "ego_status": status_of(view), "vehicle_size": size}
+    return {
+        "bev": draw_bev(view),
+        "ego_status": status_of(view),
+        "vehicle_size": size,
+        "others": others_seen(view),
+    }
 
 
 def wote_scene(scene: int) -> Inputs:
@@ -91,10 +100,15 @@ def camera_planner(factory: pytest.TempPathFactory) -> Planner:
 def goalflow_planner(_: pytest.TempPathFactory) -> Planner:
     made = export_once("goalflow")
     assert max(difference.error for difference in made.differences) < 1e-4
+    path = factory.mktemp("goalflow") / "bundle"
+    shutil.copytree(made.path, path)
+    predicts = FuturesNetwork(FuturesConfig(num_steps=GOALFLOW.num_steps, width=16))
+    add_futures(predicts, path, training={})
     options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
     extras, steps = ("goals", "goal_scores", "trajectory_goals"), GOALFLOW.num_steps
-    optional = ("route", "goal", "score_weights")
-    return Planner(made.path, goalflow_scene, extras, "ode", steps, "guard", optional, options)
+    extras += (FUTURES, FUTURE_PROBABILITIES)
+    optional = ("route", "goal", "score_weights", "others")
+    return Planner(path, goalflow_scene, extras, "ode", steps, "guard", optional, options)
 
 
 def wote_planner(_: pytest.TempPathFactory) -> Planner:

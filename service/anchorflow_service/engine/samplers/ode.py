@@ -95,8 +95,8 @@ class OdeSampler:
         self._manifest, self._graphs, self._prior = manifest, graphs, manifest.sampler.prior
         self._on_device = DeviceLoop(graphs.device) if graphs.device else None
         self._is_scored = SCORE in manifest.graphs
-        self._extras = [spec.name for spec in manifest.answer.extras]
-        self._of_each = names_of_each(manifest.answer.extras)
+        self._extras = [spec.name for spec in manifest.sampled_extras]
+        self._of_each = names_of_each(manifest.sampled_extras)
         self._state_shape, self._late = state_shape(manifest), LatePlans(manifest)
         self._threads = threads
         self._pool = ThreadPool(threads, name="anchorflow-field")
@@ -122,7 +122,7 @@ class OdeSampler:
                 known = (*own, *(OF_A_MIXTURE[role] if is_mixture else ()), *context)
                 yield from _graph_faults(manifest, role, known)
         yield from unknown_names(
-            "answer.extras", [spec.name for spec in manifest.answer.extras], context
+            "answer.extras", [spec.name for spec in manifest.sampled_extras], context
         )
         if not isinstance(manifest.finish, SplineEntry):
             given = ("trajectories", *((SCORES,) if SCORE in graphs else ()))

@@ -72,7 +72,7 @@ class TruncatedDiffusionSampler:
         self._manifest, self._graphs, self._entry = manifest, graphs, manifest.sampler
         self._signal = self._entry.noise.signal
         self._T, self._along = manifest.time.steps, AlongRoute(manifest)
-        extras = manifest.answer.extras
+        extras = manifest.sampled_extras
         self._of_each = names_of_each(extras)
         self._extras = {spec.name for spec in extras}
         fine = manifest.graphs["fine"]
@@ -99,7 +99,7 @@ class TruncatedDiffusionSampler:
             before = graphs[earlier].output_names if earlier else ()
             yield from unknown_names(where, takes, (*fed, *before, *given))
         told = (*given, *graphs["coarse"].output_names, *graphs["fine"].output_names)
-        extras = [spec.name for spec in manifest.answer.extras]
+        extras = [spec.name for spec in manifest.sampled_extras]
         yield from unknown_names("answer.extras", extras, told)
         anchors = next(s.shape for s in graphs["encode"].outputs if s.name == ANCHORS)
         wanted = (manifest.sampler.anchors, manifest.time.steps, 2)

@@ -42,8 +42,8 @@ class VocabularySampler:
         self._is_scored, self._along = "score" in manifest.graphs, AlongRoute(manifest)
         looks = isinstance(manifest.conditioning, VisionLanguageEntry)
         self.views = Views(manifest, graphs) if looks else None
-        self._of_each = names_of_each(manifest.answer.extras)
-        self._extras = {spec.name for spec in manifest.answer.extras}
+        self._of_each = names_of_each(manifest.sampled_extras)
+        self._extras = {spec.name for spec in manifest.sampled_extras}
 
     @staticmethod
     def faults(manifest: Manifest) -> Iterator[str]:
@@ -59,7 +59,7 @@ class VocabularySampler:
             yield from unknown_names("graphs.score.inputs", score.input_names, given)
             given += score.output_names
         scores = [SCORES] if SCORES in manifest.answer.arrays else []
-        extras = [spec.name for spec in manifest.answer.extras]
+        extras = [spec.name for spec in manifest.sampled_extras]
         yield from unknown_names("answer", [TRAJECTORIES, *scores, *extras], given)
 
     def settle(self, scene: ConditionedScene) -> None:

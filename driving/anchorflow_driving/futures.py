@@ -1,0 +1,155 @@
+"""Where the others will be: what was recorded, rules that predict it, and how they are judged.
+
+A prediction has M modes for each of the A others that a planner is told of: poses [A, M, T, 3] of
+the boxes' middles at PLAN_TIMES, in the frame of the ego's rear axle now, and probabilities [A, M].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.sensors import OTHERS, OTHERS_TIMES_S
+from anchorflow_driving.drivers import PLAN_TIMES
+from anchorflow_driving.geometry import Array, into_frame, out_of_frame, wrap_angle
+from anchorflow_driving.lane_paths import LanePaths
+from anchorflow_driving.log import FRAME_S, PEDESTRIAN
+from anchorflow_driving.sensors.others import tracks_told
+from anchorflow_driving.window import PlannerView, Window
+
+X, Y, HEADING, VX, VY, LENGTH, WIDTH, KIND = range(8)
+MISSED_M = 2.0
+"""At the end, beyond which all modes count as a miss."""
+MOVING_M = 2.0
+"""In 4 s, from which on somebody counts as moving."""
+TURN_S = 0.5
+"""Over which a turn rate is measured."""
+PACES = (0.0, -1.5, 1.0)
+"""m/s² that the modes of a rule speed up by."""
+SLOWEST_TURN = 1.0  # m/s; below it a turn rate is noise
+
+
+@dataclass(frozen=True, eq=False)
+class Futures:
+    """poses: [A, M, T, 3]; probabilities: [A, M], the sum of each row 1"""
+
+    poses: Array
+    probabilities: Array
+
+
+Predictor = Callable[[PlannerView, NDArray[np.float32]], Futures]
+"""A view, and `others` [A, 5, 8] of it."""
+
+
+def recorded_futures(window: Window) -> Array:
+    """Return poses [A, T, 3] that were recorded of `others_seen`; NaN where nothing was."""
+    told = tracks_told(window.view)[:OTHERS]
+    frames = window.frame + np.rint(PLAN_TIMES / FRAME_S).astype(int)
+    known = frames < window.log.track_state.shape[1]
+    poses = np.full((OTHERS, len(frames), 3), np.nan)
+    recorded = window.log.track_state[told][:, frames[known], :3].astype(np.float64)
+    poses[: len(told), known] = into_frame(recorded, window.state.pose)
+    return poses
+
+
+def constant_velocity_of(_: PlannerView, others: NDArray[np.float32]) -> Futures:
+    """Predict one mode: everybody keeps velocity and heading."""
+    now = others[:, -1].astype(np.float64)
+    ways = np.repeat(now[:, None, :3], len(PLAN_TIMES), 1)
+    ways[..., :2] += PLAN_TIMES[:, None] * now[:, None, VX : VY + 1]
+    return _of_modes(ways[:, None])
+
+
+def constant_turn(_: PlannerView, others: NDArray[np.float32]) -> Futures:
+    """Predict one mode: vehicles and cyclists keep speed and turn rate, people their velocity."""
+    return _of_modes(_arcs(others, acceleration=0.0)[:, None])
+
+
+def along_lanes(view: PlannerView, others: NDArray[np.float32]) -> Futures:
+    """Predict six modes: up to three ways along the lanes, or else the present turn and straight
+    on, each at two or three accelerations.
+    """
+    lanes = LanePaths(view.polylines("centre"))
+    modes = np.stack([_arcs(others, acceleration=pace) for pace in PACES], 1)
+    modes = np.concatenate([modes, modes], 1)
+    straight = np.array(others)
+    straight[:, :-1, HEADING] = straight[:, -1:, HEADING]
+    modes[:, 3:] = np.stack([_arcs(straight, acceleration=pace) for pace in PACES], 1)
+    for k, now in enumerate(others[:, -1].astype(np.float64)):
+        if now[KIND] in (0, 1 + PEDESTRIAN) or np.hypot(now[VX], now[VY]) < SLOWEST_TURN:
+            continue
+        ways = lanes.ahead(now[:3], most=3)
+        paces = PACES[: 3 if len(ways) < 3 else 2]
+        for place, (way, pace) in enumerate((w, p) for w in ways for p in paces):
+            modes[k, place] = way.poses(_distances(np.hypot(now[VX], now[VY]), pace))
+    return _of_modes(modes)
+
+
+RULES: dict[str, Predictor] = {
+    "constant_velocity": constant_velocity_of,
+    "constant_turn": constant_turn,
+    "along_lanes": along_lanes,
+}
+
+
+def judge_futures(
+    futures: Futures, recorded: Array, others: NDArray[np.float32]
+) -> dict[str, NDArray[Any]]:
+    """Return figures [K] of those who were recorded to the end.
+
+    minADE, minFDE: m, of the mode with the smallest; miss: whether the latter is over MISSED_M;
+    ADE: m, of the likeliest mode; moves: whether they moved MOVING_M; kind: as in `others`
+    """
+    whole = np.isfinite(recorded).all((1, 2))
+    poses, truth = futures.poses[whole][..., :2], recorded[whole, None, :, :2]
+    away = np.linalg.norm(poses - truth, axis=-1)
+    likeliest = futures.probabilities[whole].argmax(-1)
+    now = others[whole, -1]
+    moved = np.linalg.norm(recorded[whole, -1, :2] - now[:, :2], axis=-1)
+    last = away[..., -1].min(1)
+    return {
+        "minADE": away.mean(-1).min(1),
+        "minFDE": last,
+        "miss": (last > MISSED_M).astype(np.float64),
+        "ADE": away.mean(-1)[np.arange(len(away)), likeliest],
+        "moves": moved > MOVING_M,
+        "kind": now[:, KIND],
+    }
+
+
+def _of_modes(poses: Array) -> Futures:
+    """Return modes [A, M, T, 3] whose first is the likeliest."""
+    likely = 1.0 / np.arange(1, poses.shape[1] + 1)
+    return Futures(poses, np.tile(likely / likely.sum(), (len(poses), 1)))
+
+
+def _distances(speed: Array | float, acceleration: float) -> Array:
+    """Return metres [..., T] at PLAN_TIMES from speeds [...]; who brakes to a halt stays there."""
+    speed = np.asarray(speed)[..., None]
+    time = PLAN_TIMES if acceleration >= 0 else np.minimum(PLAN_TIMES, speed / -acceleration)
+    return speed * time + acceleration / 2 * time**2 * (speed > 0)
+
+
+def _arcs(others: NDArray[np.float32], *, acceleration: float) -> Array:
+    """Return poses [A, T, 3] at the present turn rate; people walk straight on."""
+    now, before = others[:, -1].astype(np.float64), others[:, -2].astype(np.float64)
+    assert OTHERS_TIMES_S[-1] - OTHERS_TIMES_S[-2] == TURN_S
+    turned = wrap_angle(now[:, HEADING] - before[:, HEADING]) * (before[:, KIND] > 0)
+    speed = np.hypot(now[:, VX], now[:, VY])
+    drives = (now[:, KIND] != 1 + PEDESTRIAN) & (speed > SLOWEST_TURN)
+    course = np.where(drives, now[:, HEADING], np.arctan2(now[:, VY], now[:, VX]))
+    backwards = drives & (now[:, VX] * np.cos(course) + now[:, VY] * np.sin(course) < 0)
+    course = np.where(backwards, course + np.pi, course)
+    curvature = np.where(drives, turned / TURN_S / np.maximum(speed, SLOWEST_TURN), 0.0)
+    distance = _distances(speed, acceleration)
+    turn = curvature[:, None] * distance
+    chord = distance * np.sinc(turn / 2 / np.pi)
+    local = np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], -1)
+    frame = np.stack([now[:, X], now[:, Y], course], -1)
+    poses = out_of_frame(local, frame[:, None])
+    poses[..., 2] = now[:, None, HEADING] + turn
+    return poses

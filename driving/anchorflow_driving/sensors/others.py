@@ -1,0 +1,37 @@
+"""The others as a planner is told of them, with where they were before."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from anchorflow_client.sensors import OTHERS_TIMES_S, others_before
+from anchorflow_driving.geometry import Array
+from anchorflow_driving.log import FRAME_S, STATIC
+from anchorflow_driving.sensors.bev import BEV
+from anchorflow_driving.window import PlannerView
+
+FRAMES_BEFORE = -1 + np.rint(np.array(OTHERS_TIMES_S) / FRAME_S).astype(int)
+"""Of a view's tracks, whose last frame is now."""
+
+
+def tracks_told(view: PlannerView) -> NDArray[np.int_]:
+    """Return the tracks [K] of those that the raster shows now, the nearest first; none is the ego
+    or a static object.
+    """
+    now = view.tracks[:, -1]
+    low_x, high_x, low_y, high_y = BEV.extent
+    with np.errstate(invalid="ignore"):  # NaN, of who is absent, is nowhere
+        inside = (low_x < now[:, 0]) & (now[:, 0] < high_x)
+        inside &= (low_y < now[:, 1]) & (now[:, 1] < high_y)
+    inside &= view.track_type != STATIC
+    inside[view.ego] = False
+    found = np.flatnonzero(inside)
+    return found[np.argsort(np.hypot(*now[found, :2].T), kind="stable")]
+
+
+def others_seen(view: PlannerView) -> NDArray[np.float32]:
+    """Return `others` [48, 5, 8] of a view, as `anchorflow_client.sensors.others_before` says."""
+    told = tracks_told(view)
+    states: Array = view.tracks[told][:, FRAMES_BEFORE]
+    return others_before(states, view.track_size[told], view.track_type[told] + 1)

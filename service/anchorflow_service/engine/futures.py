@@ -1,0 +1,35 @@
+"""Where the others will be: a graph beside the planner's, for requests that ask for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from anchorflow_client.contract.batch import FUTURES
+from anchorflow_service.bundle.manifest import OTHERS, Manifest
+from anchorflow_service.engine.interfaces import Arrays, ConditionedScene, Graphs
+
+
+class OthersFutures:
+    """Predicts the others of a scene by the graph `futures`."""
+
+    def __init__(self, manifest: Manifest, graphs: Graphs) -> None:
+        self._graph, self._graphs = manifest.graphs[FUTURES], graphs
+        self.names = self._graph.output_names
+
+    def predict(self, scene: ConditionedScene) -> Arrays:
+        """Return the graph's outputs [A, …] of a scene, if its request names one of them.
+
+        Rows after the last of the others are not computed, but zeros.
+        """
+        if not {*self.names} & {*scene.request.outputs}:
+            return {}
+        inputs = scene.inputs(self._graph.input_names)
+        others = inputs[OTHERS]
+        told = np.flatnonzero(others[0].any((1, 2)))
+        count = int(told[-1]) + 1 if len(told) else 1
+        given = self._graphs.run(FUTURES, {**inputs, OTHERS: others[:, :count]})
+        left = others.shape[1] - count
+        return {
+            name: np.pad(given[name][0], [(0, left)] + [(0, 0)] * (given[name].ndim - 2))
+            for name in self.names
+        }

@@ -1,0 +1,95 @@
+"""The network that predicts the others is added to a bundle, whose other answers stay the same."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from driven_bend import bend
+
+from anchorflow_client.errors import AbsentError
+from anchorflow_driving.sensors.bev import draw_bev
+from anchorflow_driving.sensors.inputs import status_of
+from anchorflow_driving.sensors.others import others_seen
+from anchorflow_driving.window import Scenes
+from anchorflow_export.futures import add_futures
+from anchorflow_export.tracing import ExportError
+from anchorflow_models.futures import FuturesConfig, FuturesNetwork
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.local import LocalClient
+
+BUNDLES = DEFAULT_BUNDLE.parent
+OUTPUTS = ("futures", "future_probabilities")
+
+
+def network(*, num_steps: int = 8) -> FuturesNetwork:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return FuturesNetwork(FuturesConfig(width=16, map_channels=4, num_steps=num_steps))
+
+
+@pytest.fixture(scope="module")
+def added(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("futures") / "goalflow"
+    shutil.copytree(BUNDLES / "goalflow", path)
+    for difference in add_futures(network(), path, training={"steps": 3}, version="9.0.0"):
+        assert difference.error < 1e-5
+    return path
+
+
+def test_the_other_graphs_are_the_same_files(added: Path) -> None:
+    before, after = (load_bundle(path).manifest for path in (BUNDLES / "goalflow", added))
+    assert after.version == "9.0.0"
+    assert after.training["futures"] == {"steps": 3}
+    for role in ("encode", "modulate", "field", "score"):
+        assert after.graphs[role] == before.graphs[role]
+    assert {spec.name for spec in after.request.inputs} >= {"others", "route"}
+
+
+def test_an_answer_has_futures_if_it_is_asked_for_them(added: Path) -> None:
+    view = Scenes(bend(0))[0].view
+    size = view.vehicle.size.astype(np.float32)
+    inputs = {"bev": draw_bev(view), "ego_status": status_of(view), "vehicle_size": size}
+    with LocalClient.of(added, threads=1) as client:
+        told = {**inputs, "others": others_seen(view)}
+        answer = client.plan(inputs=told, num_samples=8, seed=0, outputs=OUTPUTS)
+        alone = client.plan(inputs=inputs, num_samples=8, seed=0, outputs=OUTPUTS)
+        plain = client.plan(inputs=inputs, num_samples=8, seed=0)
+    assert answer.futures.shape == (48, 6, 8, 3)
+    np.testing.assert_allclose(answer.future_probabilities.sum(-1), [1.0] + [0.0] * 47, atol=1e-6)
+    with torch.no_grad():
+        batched = (torch.from_numpy(told[name])[None] for name in ("others", "bev", "ego_status"))
+        wanted = network().eval().futures(*batched)["futures"][0]
+    np.testing.assert_allclose(answer.futures, wanted, atol=1e-4)
+    assert not alone.futures.any()
+    with pytest.raises(AbsentError, match="futures: goalflow gives none"):
+        _ = plain.futures
+    for each in (answer, alone):
+        assert each.trajectories.tobytes() == plain.trajectories.tobytes()
+        assert each.scores.tobytes() == plain.scores.tobytes()
+
+
+def test_futures_may_be_added_again(added: Path, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    shutil.copytree(added, again)
+    add_futures(network(), again, training={"steps": 4})
+    first, second = (load_bundle(path).manifest for path in (added, again))
+    assert second == first.model_copy(
+        update={"training": {**first.training, "futures": {"steps": 4}}}
+    )
+
+
+def test_a_bundle_with_other_inputs_or_times_is_refused(tmp_path: Path) -> None:
+    wote = tmp_path / "wote"
+    shutil.copytree(BUNDLES / "wote", wote)
+    with pytest.raises(ExportError, match="bev: expected an input"):
+        add_futures(network(), wote, training={})
+    goalflow = tmp_path / "goalflow"
+    shutil.copytree(BUNDLES / "goalflow", goalflow)
+    with pytest.raises(ExportError, match="time: expected"):
+        add_futures(network(num_steps=6), goalflow, training={})
+    before, after = (load_bundle(path).manifest for path in (BUNDLES / "goalflow", goalflow))
+    assert after == before
