@@ -97,7 +97,7 @@ def camera_planner(factory: pytest.TempPathFactory) -> Planner:
     )
 
 
-def goalflow_planner(_: pytest.TempPathFactory) -> Planner:
+def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
     made = export_once("goalflow")
     assert max(difference.error for difference in made.differences) < 1e-4
     path = factory.mktemp("goalflow") / "bundle"

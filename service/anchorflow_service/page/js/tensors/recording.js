@@ -219,8 +219,12 @@ export class Recording {
   }
 }
 
+/** Rows or columns that a picture has at least. */
+const LEAST_SIDE = 16;
+
 /** Whether an input has axes of a picture, with channels or without. */
-const isPicture = (spec) => !isPlaces(spec) && [2, 3].includes(axesOf(spec).length) && !axesOf(spec).slice(-2).includes(1);
+const isPicture = (spec) =>
+  !isPlaces(spec) && [2, 3].includes(axesOf(spec).length) && !axesOf(spec).slice(-2).some((side) => side < LEAST_SIDE);
 
 /** Show the inputs of a frame that are pictures; `palette` colours the layers of those with many channels. */
 function showSensed(specs, values, palette) {
