@@ -14,6 +14,7 @@ import onnx
 import onnx.parser
 import pytest
 import torch
+from flowmp_scenes import make_model
 
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.latency import Contest, LatencyConfig, latency_tables, onnx_loop
@@ -22,7 +23,7 @@ from anchorflow_benchmarks.planners import parse_sampler
 from anchorflow_benchmarks.scene_files import draw_scenes
 from anchorflow_benchmarks.turns import MIN_ROUNDS, p50, p99, take_turns
 from anchorflow_client.contract import OdeSpec
-from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
+from anchorflow_models import L2SafetyCFM
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
 from anchorflow_service.engine.samplers.flow import Beginning
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
@@ -106,12 +107,7 @@ EULER = OdeSpec("euler", (0.0, 0.5, 1.0))
 
 @pytest.fixture(scope="module")
 def model() -> L2SafetyCFM:
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        model = create_l2_safety_cfm(L2Config())
-        for parameter in model.parameters():  # the last layers begin at zero
-            parameter.data += 0.02 * torch.randn_like(parameter)
-        return model.eval()
+    return make_model()
 
 
 @pytest.fixture

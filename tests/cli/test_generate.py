@@ -9,14 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from command_line import failure, succeed
+from flowmp_scenes import make_model
 from PIL import Image
 from ros_maps import write_map
-from torch import nn
 
 from anchorflow_cli.generate import EMPTY_MAP_CELLS, empty_map
-from anchorflow_models import L2Config, L2SafetyCFM, create_l2_safety_cfm
 from anchorflow_models.generation import GeneratorConfig, TrajectoryGenerator
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from anchorflow_training.trainer import TrainerConfig
@@ -25,24 +23,13 @@ ENDS = ("--start", "-1,0.5", "--goal", "2,-0.25")
 QUICK = ("--num-samples", "3", "--steps", "2", "--seed", "5")
 
 
-def make_model(config: L2Config) -> L2SafetyCFM:
-    """Always the same weights; what starts at zero is filled, or the field would be zero."""
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        model = create_l2_safety_cfm(config)
-        for parameter in model.parameters():
-            if not parameter.any():
-                nn.init.normal_(parameter, std=0.05)
-    return model.eval()
-
-
 @pytest.fixture(scope="module")
 def make_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Path]:
     """Writes the checkpoint of an untrained model of D dimensions."""
 
     def make(dim: int) -> Path:
-        config = L2Config(num_steps=24, num_control_points=12, dim=dim)
-        weights = make_model(config).state_dict()
+        model = make_model(num_steps=24, num_control_points=12, dim=dim)
+        config, weights = model.config, model.state_dict()
         path = tmp_path_factory.mktemp("run") / "checkpoint.pt"
         settings = asdict(TrainerConfig(model=config))
         save_checkpoint(path, Checkpoint(7, settings, {}, weights, weights, {}, []))
@@ -196,7 +183,7 @@ def test_a_map_and_its_unknown_cells(checkpoint: Path, room: Path, tmp_path: Pat
 
 def test_the_command_draws_what_the_generator_draws(checkpoint: Path, tmp_path: Path) -> None:
     arrays = drawn(checkpoint, tmp_path)
-    model = make_model(L2Config(num_steps=24, num_control_points=12))
+    model = make_model(num_steps=24, num_control_points=12)
     seen = empty_map(np.array([-1, 0.5]), np.array([2, -0.25]), size_m=None)
     assert seen.occupancy.shape == (EMPTY_MAP_CELLS, EMPTY_MAP_CELLS)
     anchors = TrajectoryGenerator(model, GeneratorConfig(num_samples=3, steps=2)).generate(

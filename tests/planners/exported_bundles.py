@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import tiny_wote
 import torch
+from flowmp_scenes import open_branches
 from small_v2x import small_sizes, small_v2x
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import nn
@@ -82,9 +83,7 @@ def untaught(**options: Any) -> nn.Module:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         model = create_l2_safety_cfm(L2Config(map_size=16, layers=1, **options)).eval()
-        for parameter in model.parameters():
-            if not parameter.any():
-                nn.init.normal_(parameter, std=0.02)
+        open_branches(model, std=0.02)
     model.prior.set_covariance(0.04 * np.eye(model.prior.rank))
     return model
 

@@ -39,11 +39,11 @@ def make_scene(dim: int = 2, *, channels: int = 3) -> Scene:
     }
 
 
-def open_branches(module: nn.Module) -> None:
+def open_branches(module: nn.Module, *, std: float = 0.05) -> None:
     """Fill what starts at zero: it would hide everything behind it."""
     for parameter in module.parameters():
         if not parameter.any():
-            nn.init.normal_(parameter, std=0.05)
+            nn.init.normal_(parameter, std=std)
 
 
 def make_model(**options: Any) -> L2SafetyCFM:

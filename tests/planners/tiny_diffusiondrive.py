@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from flowmp_scenes import open_branches
 
 from anchorflow_models.diffusiondrive import (
     DiffusionDriveConfig,
@@ -50,10 +51,8 @@ def tiny_diffusiondrive(config: DiffusionDriveConfig = TINY) -> DiffusionDriveV2
     """Return a network of random weights, including those that begin at zero."""
     torch.manual_seed(0)
     model = create_diffusiondrive(config).eval()
+    open_branches(model)
     with torch.no_grad():
-        for parameter in model.parameters():
-            if not parameter.any():
-                parameter.normal_(0, 0.05)
         model.vocabulary[..., 0] = (
             torch.linspace(0.5, 8.0, 8) * torch.arange(len(model.vocabulary))[:, None]
         )

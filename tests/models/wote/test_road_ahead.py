@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from flowmp_scenes import open_branches
 from small_configs import WOTE
 from tiny_wote import AHEAD, TINY, sensors, tiny_wote
 from torch import Tensor
@@ -24,10 +25,7 @@ Place = tuple[float, float]
 def planner(config: WoteConfig = AHEAD) -> WoTE:
     """Random weights, also for layers that start at zero."""
     model = tiny_wote(config)
-    with torch.no_grad():
-        for parameter in model.parameters():
-            if not parameter.any():
-                parameter.normal_(0, 0.05)
+    open_branches(model)
     return model
 
 

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from torch import nn
+from flowmp_scenes import make_model
 from training_runs import DISTILLATION
 
-from anchorflow_models import create_l2_safety_cfm
 from anchorflow_training.batches import dealt_routes, encode_inputs, prior_means
 from anchorflow_training.dataset import SceneDataset
 from anchorflow_training.distillation.distiller import Distiller
@@ -24,13 +23,8 @@ Distil = Callable[..., Distiller]
 @pytest.fixture(scope="session")
 def teacher() -> Teacher:
     """Always of the same weights."""
-    with torch.random.fork_rng():
-        torch.manual_seed(0)
-        model = create_l2_safety_cfm(DISTILLATION.model)
-        for parameter in model.parameters():
-            if not parameter.any():
-                nn.init.normal_(parameter, std=0.05)
-    return Teacher(model.eval().requires_grad_(False), sha256="5" * 64, step=7)
+    model = make_model(**asdict(DISTILLATION.model))
+    return Teacher(model.requires_grad_(False), sha256="5" * 64, step=7)
 
 
 @pytest.fixture
