@@ -54,6 +54,12 @@ Guarded = Annotated[
     bool,
     typer.Option("--guarded", help="Each bundle drives twice: then with its guard."),
 ]
+Foreseeing = Annotated[
+    bool,
+    typer.Option(
+        "--foreseeing", help="Each bundle with futures drives twice: then with others drawn there."
+    ),
+]
 Late = Annotated[
     list[int] | None,
     typer.Option(

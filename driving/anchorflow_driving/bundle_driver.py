@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import (
@@ -22,11 +23,12 @@ from anchorflow_client.contract import (
     TruncatedDiffusionSpec,
     VocabularySpec,
 )
+from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.sensors.inputs import check_inputs, draw_inputs
-from anchorflow_driving.window import Window
+from anchorflow_driving.window import PlannerView, Window
 
 ROUTE = "route"
 """Name of the input that takes the route."""
@@ -91,7 +93,8 @@ class BundleDriver:
         self._outputs = [extra for extra in GOAL_EXTRAS if extra in extras]
         self._inputs = [spec for spec in card.inputs if spec.name != ROUTE]
         self._route = [spec for spec in card.inputs if spec.name == ROUTE]
-        self._follows_route = False
+        self._follows_route = self._foresees = False
+        self.predicts = FUTURES in extras
         self._draws_noise = not isinstance(card.sampler, VocabularySpec)
 
     def seeded(self, seed: int) -> BundleDriver:
@@ -115,6 +118,14 @@ class BundleDriver:
         other = copy(self)
         other._options = {**self._options, "refine": {"guard": True}}
         other.name = f"{self.name}_guarded"
+        return other
+
+    def foreseeing(self) -> BundleDriver:
+        """Return this driver with the others drawn where the planner predicts them: two requests a
+        plan, the first for the `futures` of a card that `predicts`."""
+        other = copy(self)
+        other._foresees = True
+        other.name = f"{self.name}_foreseeing"
         return other
 
     def late(self, delay_s: float) -> BundleDriver:
@@ -144,6 +155,8 @@ class BundleDriver:
         started = perf_counter()
         specs = [*self._inputs, *self._route] if self._follows_route else self._inputs
         inputs = draw_inputs(window.view, specs)
+        if self._foresees:
+            inputs["bev"] = self._foreseen(window.view, inputs)
         drawing_ms = 1e3 * (perf_counter() - started)
         last_plan = window.meanwhile if self.delay_s else None
         answer = self._client.plan(
@@ -161,6 +174,19 @@ class BundleDriver:
             drawing_ms=drawing_ms,
             flow_ms=answer.timing_ms["sample"],
         )
+
+    def _foreseen(self, view: PlannerView, inputs: dict[str, Any]) -> NDArray[np.uint8]:
+        # Here, because they need Pillow.
+        from anchorflow_driving.foreseen_bev import foreseen_bev
+        from anchorflow_driving.futures import Futures
+
+        answer = self._client.plan(
+            inputs=inputs, outputs=[FUTURES, FUTURE_PROBABILITIES], num_samples=1, seed=0
+        )
+        poses, probabilities = (
+            np.asarray(each, np.float64) for each in (answer.futures, answer.future_probabilities)
+        )
+        return foreseen_bev(view, Futures(poses, probabilities))
 
 
 def _doubles(answer: AnchorBatch, name: str) -> Array | None:

@@ -354,6 +354,7 @@ def drive(
     bundle: options.DrivingBundles = None,
     along_route: options.AlongRoute = False,
     guarded: options.Guarded = False,
+    foreseeing: options.Foreseeing = False,
     late_ms: options.Late = None,
     num: options.Num = 64,
     samplers: options.Samplers = CARD,
@@ -377,6 +378,7 @@ def drive(
     for driver in ours:
         ways = [driver, driver.along_route()] if along_route else [driver]
         ways += [way.guarded() for way in ways] if guarded else []
+        ways += [way.foreseeing() for way in ways if foreseeing and way.predicts]
         seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
     for name, entry in list(chosen.items()):

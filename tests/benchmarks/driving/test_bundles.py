@@ -59,6 +59,18 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plans["trajectories"], chosen)
 
 
+def test_a_driver_that_foresees_asks_again_with_the_others_where_they_will_be() -> None:
+    driver = opened()
+    assert driver.predicts
+    foreseeing, window = driver.foreseeing(), Scenes(bend(0))[0]
+    assert foreseeing.name == "goalflow_foreseeing"
+    plain, foreseen = driver.propose(window), foreseeing.propose(window)
+    assert plain.scores is not None
+    assert foreseen.scores is not None
+    # The leader drives on along the bend, and not into the field beside it.
+    assert np.abs(plain.scores - foreseen.scores).max() > 1e-4
+
+
 def test_other_seeds_draw_other_proposals() -> None:
     window = Scenes(bend(0))[0]
     zero, one = (opened().seeded(seed) for seed in (0, 1))
