@@ -145,7 +145,8 @@ def train(
         refuse_pairs(dataset)
     data = training.open_data(dataset)
     told = given_settings(given, bfloat16=bfloat16)
-    base = _before(training.config, config, told, {"model": training.run.model_settings(data)})
+    fixed = {"model": training.run.model_settings(data), **training.run.other_settings(data)}
+    base = _before(training.config, config, told, fixed)
     settings = layers(training.config, base, config, told)
     if print_config:
         typer.echo(config_text(settings), nl=False)

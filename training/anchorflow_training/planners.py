@@ -15,7 +15,11 @@ from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRunConfig,
 )
 from anchorflow_training.driving.futures_run import FuturesRun, FuturesRunConfig
-from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
+from anchorflow_training.driving.goalflow_run import (
+    GoalFlowRun,
+    GoalFlowRunConfig,
+    open_goalflow,
+)
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.windows import open_windows
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
@@ -43,7 +47,7 @@ TRAININGS: Mapping[str, Training] = {
     training.config.planner: training
     for training in (
         Training(TrainerConfig, open_dataset, CFMTrainer),
-        Training(GoalFlowRunConfig, open_windows, GoalFlowRun),
+        Training(GoalFlowRunConfig, open_goalflow, GoalFlowRun),
         Training(WoteRunConfig, open_logs, WoteRun),
         Training(DiffusionDriveRunConfig, open_logs, DiffusionDriveRun),
         Training(V2XRunConfig, open_pairs, V2XRun),

@@ -130,6 +130,11 @@ class TrainingRun(ABC):
     def model_settings(data: Any) -> Mapping[str, Any]:
         """Return the settings of the model that the data require."""
 
+    @staticmethod
+    def other_settings(data: Any) -> Mapping[str, Any]:  # noqa: ARG004
+        """Return further settings that the data require, by name."""
+        return {}
+
     def called_parts(self, model: Any) -> Iterable[nn.Module]:
         """Return the parts of a model that are called, which can be compiled."""
         return model.children()

@@ -9,6 +9,7 @@ from functools import partial
 
 from anchorflow_client.contract import (
     AnswerSpec,
+    NoFinish,
     OdeSpec,
     SamplerChoice,
     TensorSpec,
@@ -66,10 +67,23 @@ def _scored_by(config: GoalFlowConfig, weights: Mapping[str, float]) -> GoalFlow
         raise ExportError(str(error)) from error
 
 
+def _finish(config: GoalFlowConfig) -> GuardEntry | NoFinish:
+    """Return the guard by the raster's road and boxes; features have none to guard by."""
+    layout = config.bev
+    if layout.dtype != "uint8":
+        return NoFinish()
+    return GuardEntry(
+        horizon_s=min(GUARD_HORIZON_S, config.num_steps * config.dt),
+        size=None,
+        road=RasterEntry("drivable", layout.covered),
+        occupied=RasterEntry("occupied", layout.covered, step_s=config.dt),
+    )
+
+
 def bev_spec(layout: BevLayout) -> TensorSpec:
     """Return the spec of the raster that a request brings."""
     shape = ("B", layout.channels, layout.rows, layout.columns)
-    return TensorSpec("bev", "uint8", shape, extent=layout.extent)
+    return TensorSpec("bev", layout.dtype, shape, extent=layout.extent)
 
 
 def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
@@ -94,12 +108,7 @@ def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
                 schedule=sampler.schedule,
                 prior=PriorEntry(mean=PRIOR_MEAN, basis=PRIOR_BASIS),
             ),
-            finish=GuardEntry(
-                horizon_s=min(GUARD_HORIZON_S, config.num_steps * config.dt),
-                size=None,
-                road=RasterEntry("drivable", config.bev.extent),
-                occupied=RasterEntry("occupied", config.bev.extent, step_s=config.dt),
-            ),
+            finish=_finish(config),
             time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
             answer=AnswerSpec(
                 components=COMPONENTS,

@@ -153,17 +153,12 @@ def sensor_request(card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
 
 
 def street_request(layout: BevLayout, card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
-    """Return a request for cars in straight streets of any width, with blocks beside them."""
+    """Return a request for cars in straight streets of any width, with blocks beside them; for a
+    layout of features, in random ones.
+    """
     generator, B = torch.Generator().manual_seed(seed), sizes["B"]
-    right, left = layout.extent[2:]
-    middles = left - (left - right) * (torch.arange(layout.columns) + 0.5) / layout.columns
-    width = torch.empty(B, 1).uniform_(*WIDTHS, generator=generator)
-    street = (middles.abs() < width / 2)[:, None, None]
-    blocks = (B, layout.channels, layout.rows // BLOCK, layout.columns // BLOCK)
-    taken = torch.rand(blocks, generator=generator) < TAKEN
-    taken = taken.repeat_interleave(BLOCK, -1).repeat_interleave(BLOCK, -2)
-    bev = 255 * (taken & ~street).to(torch.uint8)
-    bev[:, layout.drivable] = 255 * street[:, 0].to(torch.uint8)
+    drawn = layout.dtype == "uint8"
+    bev = (_streets if drawn else _features)(layout, B, generator)
     speed = FASTEST * torch.rand(B, 1, generator=generator)
     pulls = SHARPEST * (2 * torch.rand(B, 2, generator=generator) - 1)
     motion = torch.cat([_commands(B, generator), speed, torch.zeros(B, 1), pulls], -1)
@@ -182,6 +177,25 @@ def street_request(layout: BevLayout, card: ModelCard, sizes: Sizes, seed: int) 
         drawn = 10 * torch.rand(B, int(own["score_weights"].shape[1]), generator=generator)
         inputs["score_weights"] = told * drawn
     return _request(inputs)
+
+
+def _streets(layout: BevLayout, B: int, generator: torch.Generator) -> Tensor:
+    """Draw straight streets of any width as uint8 [B, C, H, W], with blocks beside them."""
+    right, left = layout.extent[2:]
+    middles = left - (left - right) * (torch.arange(layout.columns) + 0.5) / layout.columns
+    width = torch.empty(B, 1).uniform_(*WIDTHS, generator=generator)
+    street = (middles.abs() < width / 2)[:, None, None]
+    blocks = (B, layout.channels, -(-layout.rows // BLOCK), -(-layout.columns // BLOCK))
+    taken = torch.rand(blocks, generator=generator) < TAKEN
+    taken = taken.repeat_interleave(BLOCK, -1).repeat_interleave(BLOCK, -2)
+    taken = taken[..., : layout.rows, : layout.columns]
+    bev = 255 * (taken & ~street).to(torch.uint8)
+    bev[:, layout.drivable] = 255 * street[:, 0].to(torch.uint8)
+    return bev
+
+
+def _features(layout: BevLayout, B: int, generator: torch.Generator) -> Tensor:
+    return torch.randn(B, layout.channels, layout.rows, layout.columns, generator=generator)
 
 
 def _routes(B: int, generator: torch.Generator) -> Tensor:

@@ -8,6 +8,9 @@ from anchorflow_models.checks import check
 from anchorflow_models.layers.blocks import GROUPS
 
 BACKBONES = ("mlp", "transformer")
+RASTERS = ("uint8", "float32")
+STRIDES = 16
+"""Cells of the raster a side of the coarsest cell of the features."""
 HALTINGS = (1.5, 3.0, 5.0)
 """m/s² by which the halts brake: ways to no goal, which are driven without a change."""
 TURNS = ((0.1, 5.0), (0.2, 5.0), (0.2, 2.5))
@@ -34,9 +37,11 @@ LEAST = {
 
 @dataclass(frozen=True)
 class BevLayout:
-    """The raster that the network looks at, as `anchorflow_driving.sensors.bev` draws it.
+    """The raster that the network looks at: drawn by `anchorflow_driving.sensors.bev`, or features.
 
     channels: C; extent: least and greatest x, least and greatest y, m
+    dtype: "uint8" if it is drawn, "float32" if it is features; they have no channels by name, so
+        that the score knows of no road and of nobody
     drivable: the channel of the drivable area
     boxes: the first of three of who is where now: vehicles, people, static objects
     occupied: the first of those that foretell it, `foretold` of them, the first dt from now
@@ -46,10 +51,25 @@ class BevLayout:
     rows: int = 192
     columns: int = 128
     extent: tuple[float, float, float, float] = (-16.0, 80.0, -32.0, 32.0)
+    dtype: str = "uint8"
     drivable: int = 0
     boxes: int = 7
     occupied: int = 11
     foretold: int = 9
+
+    @property
+    def padding(self) -> tuple[int, int]:
+        """Rows and columns that are added at the end, for a multiple of STRIDES."""
+        return -self.rows % STRIDES, -self.columns % STRIDES
+
+    @property
+    def covered(self) -> tuple[float, float, float, float]:
+        """The extent with the rows and columns that are added."""
+        low_x, high_x, low_y, high_y = self.extent
+        below, right = self.padding
+        low_x -= below * (high_x - low_x) / self.rows
+        low_y -= right * (high_y - low_y) / self.columns
+        return low_x, high_x, low_y, high_y
 
 
 @dataclass(frozen=True)
@@ -117,6 +137,8 @@ class GoalFlowConfig:
     def __post_init__(self) -> None:
         known = f"one of {', '.join(BACKBONES)}"
         check("backbone", self.backbone in BACKBONES, known, repr(self.backbone))
+        kinds = f"one of {', '.join(RASTERS)}"
+        check("bev.dtype", self.bev.dtype in RASTERS, kinds, repr(self.bev.dtype))
         own = vars(self)
         even = self.width % 2 == 0 and self.width % max(self.heads, 1) == 0
         sides = {f"bev.{name}": getattr(self.bev, name) for name in ("rows", "columns")}
@@ -128,7 +150,7 @@ class GoalFlowConfig:
             *((n, own[n], own[n] > 0, "above 0") for n in ("dt", "sigma")),
             *((f"score.{n}", w, w >= 0, "at least 0") for n, w in vars(self.score).items()),
             ("score.reach", self.score.reach, self.score.reach > 0, "above 0"),
-            *((n, side, side % 16 == 0, "a multiple of 16") for n, side in sides.items()),
+            *((n, side, side >= 1, "at least 1") for n, side in sides.items()),
         ):
             check(name, fits, what, got)
 

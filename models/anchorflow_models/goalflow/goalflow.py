@@ -64,6 +64,7 @@ STATE = 6  # x, y, heading; has a goal, acceleration, curvature of the way it be
 UNITS = (10.0, 3.0, 1.0)  # m/s, m/s², rad/s, in which a motion is heard of
 TIME_LEFT = 0.02  # least, that a slope is divided by
 FULL = 255.0
+LOOKED_UP = (2, 2)  # cells, the fewest that a look-up takes
 BEND = 10.0  # m, scales curvatures for the networks
 STRAYS = (0.4, 4.0)  # m, before training, at the first pose and at the last
 SETTLED = -1.0  # in place of whether it has a goal: the way itself is the trajectory
@@ -129,7 +130,8 @@ class GoalFlow(nn.Module):
         goal: Tensor | None = None,
         score_weights: Tensor | None = None,
     ) -> Context:
-        """bev: uint8 [B, C, H, W]; ego_status: [B, 8]; vehicle_size: [B, 2] length, width (m);
+        """bev: [B, C, H, W] of the layout's dtype; ego_status: [B, 8]
+        vehicle_size: [B, 2] length, width (m)
         route: [B, P, 2] m, as `anchorflow_client.sensors.route_ahead`; zeros, or None: not told;
         goal: [B, G, 2] m, to which alone trajectories are drawn, in turn; zeros, or None: not told;
         score_weights: [B, 8] in the order of `ScoreWeights`; zeros, or None: the configuration's.
@@ -174,10 +176,9 @@ class GoalFlow(nn.Module):
     ) -> Context:
         """Return the features of a scene, and the route."""
         untold = torch.zeros(bev.shape[0], ROUTE_POINTS, 2, device=bev.device)
-        layout, cells = self.config.bev, bev.float() / FULL
+        cells = self.cells(bev)
         features, context = self.scene(cells, ego_status, vehicle_size)
-        now = cells[:, layout.boxes : layout.boxes + 3].amax(1, keepdim=True)
-        foretold = cells[:, layout.occupied : layout.occupied + layout.foretold]
+        drivable, occupied = self.surfaces(cells)
         return {
             "features": features,
             "context": context,
@@ -185,10 +186,30 @@ class GoalFlow(nn.Module):
             "acceleration": ego_status[:, VELOCITY + 2],
             "curvature": curvature_of(ego_status[:, VELOCITY:]),
             "size": vehicle_size,
-            "drivable": cells[:, layout.drivable, :, :, None],
-            "occupied": torch.cat([now, foretold], 1),
+            "drivable": drivable,
+            "occupied": occupied,
             "course": untold if route is None else route.clone(),  # a graph passes none on
         }
+
+    def cells(self, bev: Tensor) -> Tensor:
+        """Return the raster [B, C, H, W] as the network takes it, with its padding."""
+        layout = self.config.bev
+        cells = bev.float() / FULL if layout.dtype == "uint8" else bev
+        below, right = layout.padding
+        return nn.functional.pad(cells, (0, right, 0, below)) if below or right else cells
+
+    def surfaces(self, cells: Tensor) -> tuple[Tensor, Tensor]:
+        """Return drivable [B, H, W, 1] and occupied [B, 1 + K, H, W] of a raster; in features there
+        is a road everywhere and nobody on it.
+        """
+        layout = self.config.bev
+        if layout.dtype != "uint8":
+            scenes, device = cells.shape[0], cells.device
+            nobody = torch.zeros(scenes, 1 + layout.foretold, *LOOKED_UP, device=device)
+            return torch.ones(scenes, *LOOKED_UP, 1, device=device), nobody
+        now = cells[:, layout.boxes : layout.boxes + 3].amax(1, keepdim=True)
+        foretold = cells[:, layout.occupied : layout.occupied + layout.foretold]
+        return cells[:, layout.drivable, :, :, None], torch.cat([now, foretold], 1)
 
     def ways_to(self, goals: Tensor, speed: Tensor, *, aimed: float = 1.0) -> Tensor:
         """Arcs [B, P, T, S] that end at goals [B, P, 2] in time, of cars at speeds [B]; at those
@@ -286,7 +307,7 @@ class GoalFlow(nn.Module):
     def rate(self, poses: Tensor, context: Context) -> WayScores:
         """Return the logits of ways [B, P, T, 3]."""
         return self.scorer(
-            poses, context["features"], context["context"], extent=self.config.bev.extent
+            poses, context["features"], context["context"], extent=self.config.bev.covered
         )
 
     def basis(self) -> Tensor:
@@ -329,7 +350,7 @@ class GoalFlow(nn.Module):
         modulation: [B, 1 or N, M]
         """
         poses, way = x_t[..., :POSE], prior_mean[..., :POSE]
-        seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
+        seen = at_places(context["features"], poses[..., :2], self.config.bev.covered)
         aimed, acceleration, curvature = prior_mean[..., POSE:].unbind(-1)
         settled = (aimed < 0)[..., None]
         told = torch.stack([aimed.clamp(0, 1), acceleration / GAINS[0], curvature * BEND], -1)
@@ -374,7 +395,7 @@ class GoalFlow(nn.Module):
     def told(self, judged: Judged, context: Context) -> Tensor:
         """Return the features [B, N, F] that outcomes are learnt from."""
         poses = judged.driven.poses
-        seen = at_places(context["features"], poses[..., :2], self.config.bev.extent)
+        seen = at_places(context["features"], poses[..., :2], self.config.bev.covered)
         moves = [values / unit for values, unit in zip(judged.motion, UNITS, strict=True)]
         others = met(judged.driven, _surroundings(context), self.config)
         own = [seen.flatten(2), in_units(poses).flatten(2), *moves, others]

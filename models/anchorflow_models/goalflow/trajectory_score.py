@@ -214,7 +214,7 @@ def outcome_scores(logits: Tensor, rules: Rules, by_rules: Tensor) -> Tensor:
 def _on_road(poses: Tensor, around: Surroundings, config: GoalFlowConfig) -> Tensor:
     """[B, N]: whether all corners stay on what may be driven on."""
     corners = body_places(halved(poses), around.size, rows=(FRONT, REAR), files=(-1.0, 1.0))
-    share = at_places(around.drivable, corners, config.bev.extent)[..., 0]
+    share = at_places(around.drivable, corners, config.bev.covered)[..., 0]
     return _covered(share.flatten(2).amin(-1))
 
 
@@ -285,7 +285,7 @@ def _hits(
     body = body_places(poses, around.size, rows=(front + gap, *behind), files=FILES)
     count = body.shape[-2]
     asked = layer.repeat_interleave(count)
-    share = at_times(around.occupied, body.flatten(2, 3), asked, config.bev.extent)
+    share = at_times(around.occupied, body.flatten(2, 3), asked, config.bev.covered)
     return share.unflatten(-1, (-1, count)).amax(-1)
 
 

@@ -76,7 +76,7 @@ def test_a_disturbed_start_rejoins() -> None:
 
 def test_a_faster_start_ends_where_it_was() -> None:
     along = np.array([8.0 * PLAN_TIMES])
-    faster = augmentation.rejoined(along, np.array([1.0]))
+    faster = augmentation.rejoined(along, np.array([1.0]), PLAN_TIMES)
 
     assert faster[0, 0] > along[0, 0] + 0.3
     assert faster[0, -1] == pytest.approx(along[0, -1])
@@ -84,7 +84,9 @@ def test_a_faster_start_ends_where_it_was() -> None:
 
 def test_retimed_targets_begin_at_their_speed_and_never_reverse() -> None:
     rng = np.random.default_rng(0)
-    ways = augmentation.retimed(np.array([0.0, 8.0]), AugmentationConfig(), count=50, rng=rng)
+    ways = augmentation.retimed(
+        np.array([0.0, 8.0]), AugmentationConfig(), PLAN_TIMES, count=50, rng=rng
+    )
 
     assert ways.shape == (2, 50, 8)
     assert (np.diff(ways, axis=-1) >= -1e-9).all()

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.sensors.bev import BEV, LANES
+from anchorflow_training.driving.feature_windows import FeatureWindows
 from anchorflow_training.driving.windows import SPACING, DrivingWindows
 from anchorflow_training.settings import setting
 
 Floats = NDArray[np.float64]
 
-HORIZON = float(PLAN_TIMES[-1])
 VELOCITY, ACCELERATION = slice(4, 6), slice(6, 8)
 LEFT_FOR_RIGHT = [2, 1, 0, 3, 4, 5, 6, 7]
 TO_THE_SIDE = np.array([1, 1, 1, 1, 1, -1, 1, -1], np.float32)
@@ -43,13 +42,13 @@ class AugmentationConfig:
 class DrawnWindows:
     """B windows as they are learnt from.
 
-    bev: uint8 [B, C, H, W], not yet moved; moved: [B, 3] x, y, heading of the start in the frame of
+    bev: [B, C, H, W], not yet moved; moved: [B, 3] x, y, heading of the start in the frame of
         what was drawn
     status: [B, 8]; size: [B, 2]; course: [B, P, 2], from the start as it was moved
     targets: [B, N, T, 3] poses; the first N / 2 as it was driven, the others re-timed
     """
 
-    bev: NDArray[np.uint8]
+    bev: NDArray[Any]
     moved: NDArray[np.float32]
     status: NDArray[np.float32]
     size: NDArray[np.float32]
@@ -58,7 +57,7 @@ class DrawnWindows:
 
 
 def draw(
-    windows: DrivingWindows,
+    windows: DrivingWindows | FeatureWindows,
     chosen: NDArray[np.int64],
     config: AugmentationConfig,
     *,
@@ -72,7 +71,7 @@ def draw(
     for i in np.flatnonzero(rng.random(len(chosen)) < config.mirror):
         mirror(bev[i], status[i], course[i])
     speed, faster = status[:, 4], 1 + config.speed * rng.standard_normal(len(chosen))
-    along = rejoined(along, speed * (faster - 1))
+    along = rejoined(along, speed * (faster - 1), windows.times)
     status[:, VELOCITY] *= faster[:, None]
     spreads = np.array([0.0, config.shift, config.rotation])
     moved = spreads * rng.standard_normal((len(chosen), 3))
@@ -84,7 +83,7 @@ def draw(
     timed = np.concatenate(
         [
             np.repeat(along[:, None], samples - half, axis=1),
-            retimed(status[:, 4], config, count=half, rng=rng),
+            retimed(status[:, 4], config, windows.times, count=half, rng=rng),
         ],
         axis=1,
     )
@@ -113,21 +112,27 @@ def mirrored_status(status: NDArray[Any]) -> NDArray[Any]:
     return status[..., LEFT_FOR_RIGHT] * TO_THE_SIDE
 
 
-def rejoined(along: Floats, faster: Floats) -> Floats:
-    """Ways [B, T] of cars that start faster [B] (m/s) and are where they were at the end."""
-    fading = PLAN_TIMES * (1 - PLAN_TIMES / HORIZON) ** 2
+def rejoined(along: Floats, faster: Floats, times: Floats) -> Floats:
+    """Ways [B, T] at times [T] of cars that start faster [B] (m/s) and are where they were at the
+    end."""
+    fading = times * (1 - times / times[-1]) ** 2
     return np.maximum.accumulate(np.maximum(along + faster[:, None] * fading, 0.0), axis=1)
 
 
 def retimed(
-    speed: Floats, config: AugmentationConfig, *, count: int, rng: np.random.Generator
+    speed: Floats,
+    config: AugmentationConfig,
+    times: Floats,
+    *,
+    count: int,
+    rng: np.random.Generator,
 ) -> Floats:
-    """Ways [B, N, T] at constant accelerations, from speeds [B] on."""
+    """Ways [B, N, T] at times [T] and constant accelerations, from speeds [B] on."""
     acceleration = rng.uniform(-config.braking, config.pulling, (len(speed), count, 1))
     start, most = speed[:, None, None], np.maximum(speed, FASTEST)[:, None, None]
     bound = np.where(acceleration < 0, -start, most - start)
-    until = np.minimum(PLAN_TIMES, bound / np.where(acceleration == 0, 1e-9, acceleration))
-    return start * PLAN_TIMES + acceleration * until * (PLAN_TIMES - 0.5 * until)
+    until = np.minimum(times, bound / np.where(acceleration == 0, 1e-9, acceleration))
+    return start * times + acceleration * until * (times - 0.5 * until)
 
 
 def disturbed(course: Floats, moved: Floats, speed: float) -> Floats:

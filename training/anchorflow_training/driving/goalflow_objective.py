@@ -142,7 +142,7 @@ class GoalFlowObjective(nn.Module):
         expected: Tensor,
     ) -> dict[str, Tensor]:
         model, config = self.model, self.config
-        end = batch["targets"][:, :1, -1, :2]
+        end = batch["goal"][:, None] if "goal" in batch else batch["targets"][:, :1, -1, :2]
         away = (model.vocabulary - end).square().sum(-1)
         # A quarter of them near the end, where scores change; the others anywhere.
         near = config.scored // 4
@@ -167,7 +167,7 @@ class GoalFlowObjective(nn.Module):
         """Return [B, P]: 1 if all corners of the ego are on the road at the end of a way."""
         ends = ways[..., -1:, :]
         corners = body_places(ends, size, rows=(FRONT, REAR), files=(-1.0, 1.0))
-        share = at_places(context["drivable"], corners, self.model.config.bev.extent)
+        share = at_places(context["drivable"], corners, self.model.config.bev.covered)
         return (share.flatten(2).amin(-1) > CLEAR).float()
 
 

@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from anchorflow_driving.sensors.bev import BEV
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goalflow import POSE
 from anchorflow_training.batches import (
@@ -32,6 +31,11 @@ from anchorflow_training.driving.augmentation import (
     retimed,
 )
 from anchorflow_training.driving.driving_run import DrivingRun
+from anchorflow_training.driving.feature_windows import (
+    FeatureWindows,
+    has_features,
+    open_features,
+)
 from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjective,
     GoalFlowObjectiveConfig,
@@ -39,13 +43,20 @@ from anchorflow_training.driving.goalflow_objective import (
 )
 from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon, open_logs
 from anchorflow_training.driving.proposals import proposals
-from anchorflow_training.driving.windows import DrivingWindows
+from anchorflow_training.driving.windows import DrivingWindows, open_windows
 from anchorflow_training.record import Row
 from anchorflow_training.settings import ConfigError, check_fixed, other_default, setting
+
+Windows = DrivingWindows | FeatureWindows
 
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
 """A success: the recorded end, if MOVING_M away, is within NEAR_M of one of the TOP goals."""
+
+
+def open_goalflow(folder: Path) -> Windows:
+    """Return the windows of a folder: of driving logs, or with rasters of one's own."""
+    return open_features(folder) if has_features(folder) else open_windows(folder)
 
 
 @dataclass(frozen=True)
@@ -72,11 +83,15 @@ class GoalFlowRunConfig(RunConfig):
 class GoalFlowRun(DrivingRun):
     """Learns goals and flow, or the outcomes of what a trained network proposes."""
 
-    def __init__(self, config: GoalFlowRunConfig, windows: DrivingWindows, out: Path) -> None:
-        check_fixed(config.model, self.model_settings(windows), by="the windows")
+    def __init__(self, config: GoalFlowRunConfig, windows: Windows, out: Path) -> None:
+        fixed = {"model": self.model_settings(windows), **self.other_settings(windows)}
+        check_fixed(config, fixed, by="the windows", prefix="")
         self.learns_outcomes = config.objective.stage == "outcomes"
         scored = "the PDM score of the stage outcomes" if self.learns_outcomes else None
-        check_horizon(config.model.num_steps, whole=scored)
+        if isinstance(windows, DrivingWindows):
+            check_horizon(config.model.num_steps, whole=scored)
+        elif scored:
+            raise ConfigError(f"objective.stage: expected flow, as logs alone have {scored[4:]}")
         if self.learns_outcomes != config.model.outcomes:
             raise ConfigError(
                 f"model.outcomes: expected {str(self.learns_outcomes).lower()} in the stage "
@@ -91,20 +106,18 @@ class GoalFlowRun(DrivingRun):
             self.proposals = proposals(open_logs(windows.path), asked.eval())
 
     @staticmethod
-    def model_settings(data: DrivingWindows) -> Mapping[str, Any]:  # noqa: ARG004
+    def model_settings(data: Windows) -> Mapping[str, Any]:
         """The raster that windows hold, and the times of what was driven."""
-        names = BEV.channels
-        bev = {
-            "channels": len(names),
-            "rows": BEV.rows,
-            "columns": BEV.columns,
-            "extent": BEV.extent,
-            "drivable": names.index("drivable"),
-            "boxes": names.index("vehicles"),
-            "occupied": names.index(f"occupied_{BEV.ahead_s[0]:.1f}s"),
-            "foretold": len(BEV.ahead_s),
-        }
-        return {**PLAN_SETTINGS, "bev": bev}
+        if isinstance(data, DrivingWindows):
+            return {**PLAN_SETTINGS, "bev": data.layout}
+        times = {"num_steps": len(data.times), "dt": float(data.times[0])}
+        return {**times, "bev": data.layout}
+
+    @staticmethod
+    def other_settings(data: Windows) -> Mapping[str, Any]:
+        """Features cannot be reflected, and none is known to turn with the car."""
+        unmoved = {"mirror": 0.0, "moved": 0.0}
+        return {} if isinstance(data, DrivingWindows) else {"augmentation": unmoved}
 
     def begin(self, model: GoalFlow) -> None:
         """The vocabulary, and how far poses stray from the way to their goal."""
@@ -112,12 +125,15 @@ class GoalFlowRun(DrivingRun):
         rng = np.random.default_rng(config.batch.seed)
         windows, learnt = self.windows, slice(self.count)
         speed = windows.status[learnt, 4].astype(float)
-        timed = retimed(speed, config.augmentation, count=RETIMED_SHARE, rng=rng)
+        timed = retimed(speed, config.augmentation, windows.times, count=RETIMED_SHARE, rng=rng)
         timed = np.concatenate([windows.along[learnt, None].astype(float), timed], axis=1)
         courses = windows.course[learnt].astype(float)
         timed = timed[..., : config.model.num_steps]
         targets = np.stack([poses_on(c, s) for c, s in zip(courses, timed, strict=True)])
-        ends = targets[:, :, -1, :2].reshape(-1, 2)
+        ends = targets[:, :, -1, :2]
+        if windows.goal is not None:
+            ends = np.concatenate([windows.goal[learnt, None], ends[:, 1:]], axis=1)
+        ends = ends.reshape(-1, 2)
         ends = np.concatenate([ends, ends * [1, -1]])
         count, file = config.model.goals, config.vocabulary
         goals = (
@@ -156,7 +172,8 @@ class GoalFlowRun(DrivingRun):
         drawn = draw(
             self.windows, chosen, config.augmentation, samples=config.batch.samples, rng=rng
         )
-        return {**vars(drawn), "targets": drawn.targets[:, :, : config.model.num_steps]}
+        batch = {**vars(drawn), "targets": drawn.targets[:, :, : config.model.num_steps]}
+        return batch if self.windows.goal is None else {**batch, "goal": self.windows.goal[chosen]}
 
     def _proposed(self, chosen: NDArray[np.int64], rng: np.random.Generator) -> Batch:
         """Windows and what was proposed in them, some left for right."""
@@ -195,8 +212,9 @@ class GoalFlowRun(DrivingRun):
         course, along = windows.course[window].astype(float), windows.along[window].astype(float)
         driven = poses_on(course, along[: model.config.num_steps])
         apart = _apart(x_1[0, ..., :2].cpu().numpy(), driven[:, :2]).mean(-1)
+        end = driven[-1, :2] if windows.goal is None else windows.goal[window]
         goals = context["goals"][0, :TOP].cpu().numpy()
-        near = bool((_apart(goals, driven[-1, :2]) < NEAR_M).any())
+        near = bool((_apart(goals, end) < NEAR_M).any())
         return {
             "success": float(near) if along[-1] > MOVING_M else np.nan,
             "best_ade_m": float(apart.min()),

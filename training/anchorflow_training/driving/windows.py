@@ -7,10 +7,10 @@ times as long.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ SPACING = 1.25
 """m between the points of a course."""
 COURSE_POINTS = 73  # to 90 m
 _RETURN = 15.0  # m over which an offset from the route fades behind the record
-_MOVED = 0.02  # m; nearer points of a record are one
+MOVED = 0.02  # m; nearer points of a record are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,20 @@ class DrivingWindows:
     along: Floats
     log: NDArray[np.int64]
     path: Path
+    goal: ClassVar[None] = None
+    times: ClassVar = PLAN_TIMES
+    layout: ClassVar[Mapping[str, Any]] = {
+        "channels": len(BEV.channels),
+        "rows": BEV.rows,
+        "columns": BEV.columns,
+        "extent": BEV.extent,
+        "dtype": "uint8",
+        "drivable": BEV.channels.index("drivable"),
+        "boxes": BEV.channels.index("vehicles"),
+        "occupied": BEV.channels.index(f"occupied_{BEV.ahead_s[0]:.1f}s"),
+        "foretold": len(BEV.ahead_s),
+    }
+    """Of the rasters, as `BevLayout`."""
 
     def __len__(self) -> int:
         return len(self.status)
@@ -84,7 +98,7 @@ def course_of(window: Window) -> tuple[Floats, Floats]:
     frames = np.arange(FUTURE_FRAMES + 1)
     driven = window.recorded(np.asarray(frames * FRAME_S, np.float64))[:, :2]
     steps = np.linalg.norm(np.diff(driven, axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(np.where(steps > _MOVED, steps, 0.0))])
+    way = np.concatenate([[0.0], np.cumsum(np.where(steps > MOVED, steps, 0.0))])
     along = np.interp(PLAN_TIMES, frames * FRAME_S, way)
     kept = np.concatenate([[True], np.diff(way) > 0])
     route = window.view.route
