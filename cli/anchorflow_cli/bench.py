@@ -26,6 +26,9 @@ BENCHMARKS = {
     ),
     "futures": benchmark("driving.futures:futures", "Score predictions of the others.", "driving"),
     "pairs": benchmark("driving.pairs:pairs", "Judge V2X-VLM on pairs.", "train"),
+    "checkpoints": benchmark(
+        "checkpoints:checkpoints", "Train on from bundles and export them again.", "train"
+    ),
     "closed-loop": benchmark(
         "closed_loop.contest:closed_loop", "Drive a robot past obstacles.", "robot"
     ),

@@ -10,6 +10,7 @@ import typer
 
 from anchorflow_cli.options import command_app, file_option
 from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.planners import choices_of
 from anchorflow_export.read_back import read_weights
 from anchorflow_models.registry import planner_named
 from anchorflow_models.v2x_vlm import V2XVLM
@@ -35,17 +36,12 @@ def checkpoint(
     Parts that no graph holds, such as heads of the loss alone, begin anew and are named.
     """
     opened = load_bundle(bundle)
-    told = opened.manifest.training
     saved = _without_weights(opened)
     config = saved_model_config(saved)
     model = planner_named(saved.planner).create(config).eval()
     if isinstance(model, V2XVLM):
         model.tokenizer = opened.file_path("tokenizer").read_bytes()
-    choices = ExportChoices(
-        noise_scale=told.get("noise_scale", 1.0),
-        score=told.get("score", {}),
-        goal_inputs="goal" in {spec.name for spec in opened.manifest.request.inputs},
-    )
+    choices = ExportChoices(**choices_of(opened))
     read = read_weights(opened, model, choices, planner=saved.planner)
     save_checkpoint(out, replace(saved, model=read.weights, average=read.weights))
     for difference in read.differences:

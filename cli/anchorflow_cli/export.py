@@ -16,10 +16,11 @@ from anchorflow_client.contract.fields import LIMITS
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.futures import add_futures
-from anchorflow_export.planners import adapter_of, check_used
+from anchorflow_export.planners import adapter_of, check_used, choices_of
 from anchorflow_export.quantization import quantize_bundle
 from anchorflow_export.tracing import ExportError
 from anchorflow_models.futures import FuturesNetwork
+from anchorflow_service.bundle import load_bundle
 from anchorflow_training.checkpoint import Checkpoint, load_checkpoint, provenance, restore_model
 from anchorflow_training.distillation.teacher import student_schedule
 from anchorflow_trajectory.finish.refiner import DESCENT_RATE
@@ -92,6 +93,10 @@ def export(
     int8: Annotated[
         bool, typer.Option("--int8", help="Field and encoder in eight bits: faster, rounded.")
     ] = False,
+    like: Annotated[
+        Path | None,
+        typer.Option(help="Bundle whose choices hold where no option says otherwise."),
+    ] = None,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
     saved = load_checkpoint(checkpoint)
@@ -117,10 +122,12 @@ def export(
                 typer.echo(str(difference))
         typer.echo(f"{out}: with futures")
         return
-    asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
-    choices = ExportChoices(**{**_limits(saved), **asked})
+    own_name, rounded, made = _like(like, saved)
+    if "sampler" in asked or "sampler" not in made:
+        asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
+    choices = ExportChoices(**{**_limits(saved), **made, **asked})
     description = BundleDescription(
-        name=_name(saved) if name is None else name,
+        name=own_name if name is None else name,
         version=version or "0.1.0",
         planner=saved.planner,
         training={**provenance(saved), **_chosen(choices)},
@@ -129,7 +136,7 @@ def export(
     with _sigterm_cleans_up():
         for difference in export_bundle(adapter, description, out=out):
             typer.echo(str(difference))
-        if int8:
+        if int8 or rounded:
             typer.echo(str(quantize_bundle(out)))
     typer.echo(f"{out}: {description.name} {description.version}")
 
@@ -146,6 +153,22 @@ def _sigterm_cleans_up() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _like(path: Path | None, checkpoint: Checkpoint) -> tuple[str, bool, dict[str, Any]]:
+    """Return the name, whether it is in eight bits, and the choices of a bundle, if there is one.
+
+    Raises `ExportError` if it is of another planner than the checkpoint.
+    """
+    if path is None:
+        return _name(checkpoint), False, {}
+    bundle = load_bundle(path)
+    manifest = bundle.manifest
+    if manifest.planner != checkpoint.planner:
+        expected = f"expected a bundle of {checkpoint.planner}, got one of {manifest.planner}"
+        raise ExportError(f"like: {path}: {expected}")
+    precisions = {graph.precision for graph in manifest.graphs.values()}
+    return manifest.name, "int8" in precisions, choices_of(bundle)
 
 
 def _name(checkpoint: Checkpoint) -> str:

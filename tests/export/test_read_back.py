@@ -13,14 +13,17 @@ from command_line import failure, succeed
 from exported_bundles import export_once
 from small_v2x import small_sizes
 
+from anchorflow_client.contract import SamplerChoice
 from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.planners import choices_of
 from anchorflow_export.quantization import quantize_bundle
 from anchorflow_export.read_back import read_weights
 from anchorflow_models.registry import planner_named
-from anchorflow_service.bundle import load_bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_training.checkpoint import load_checkpoint, weights_before
 from anchorflow_training.config import TrainerConfig
 
+CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "goalflow.pt"
 # By planner: parts that only training uses, and those that are read to within a rounding.
 CASES = {
     "wote": (
@@ -47,6 +50,23 @@ def test_every_weight_of_a_graph_is_read(planner: str) -> None:
     assert len(same) > 0.3 * len(wanted)
     for name in same:
         torch.testing.assert_close(read.weights[name], wanted[name], rtol=0, atol=0, msg=name)
+
+
+def test_a_bundle_says_how_it_was_exported(tmp_path: Path) -> None:
+    student, goalflow = (load_bundle(DEFAULT_BUNDLE.parent / n) for n in ("student", "goalflow"))
+    assert choices_of(student) == {
+        "sampler": SamplerChoice("euler", (0.0, 1.0)),
+        "noise_scale": 1.0,
+        "robot_radius": 0.25,
+        "safety_margin": 0.1,
+        "refine_steps": 6,
+        "refine_rate": 0.12,
+    }
+    uniform = SamplerChoice("euler", (0.0, 1.0))
+    wanted = {"sampler": uniform, "noise_scale": 1.0, "score": {}, "goal_inputs": False}
+    assert choices_of(goalflow) == wanted
+    said = failure("export", CHECKPOINT, "--like", student.path, "--out", tmp_path / "other")
+    assert "expected a bundle of goalflow, got one of flowmp" in said
 
 
 def test_a_checkpoint_of_a_bundle_in_eight_bits(tmp_path: Path) -> None:

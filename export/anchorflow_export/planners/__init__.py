@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from anchorflow_client.contract import CostMapSpec, SamplerChoice
 from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.planners.diffusiondrive import diffusiondrive_adapter
 from anchorflow_export.planners.flowmp import flowmp_adapter
@@ -12,6 +13,8 @@ from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_export.planners.v2x_vlm import v2x_vlm_adapter
 from anchorflow_export.planners.wote import wote_adapter
 from anchorflow_export.tracing import ExportError
+from anchorflow_service.bundle import Bundle
+from anchorflow_service.bundle.manifest import OdeEntry, SplineEntry
 
 ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "flowmp": flowmp_adapter,
@@ -40,6 +43,25 @@ def check_used(planner: str, names: Iterable[str]) -> None:
             raise ExportError(
                 f"expected choices that a {planner} has a use for ({known}), got {name}"
             )
+
+
+def choices_of(bundle: Bundle) -> dict[str, Any]:
+    """Return the choices that a bundle was made with, by name; limits are those of its data."""
+    manifest = bundle.manifest
+    told, asked = manifest.training, {spec.name for spec in manifest.request.inputs}
+    made: dict[str, Any] = {
+        "noise_scale": told.get("noise_scale", 1.0),
+        "score": told.get("score", {}),
+        "goal_inputs": "goal" in asked,
+    }
+    if isinstance(manifest.sampler, OdeEntry):
+        made["sampler"] = SamplerChoice(manifest.sampler.method, manifest.sampler.schedule)
+    if isinstance(finish := manifest.finish, SplineEntry):
+        made |= {"refine_steps": finish.steps, "refine_rate": finish.rate}
+        made["safety_margin"] = finish.safety_margin
+    if isinstance(manifest.conditioning, CostMapSpec):
+        made["robot_radius"] = manifest.conditioning.limits.robot_radius
+    return {name: value for name, value in made.items() if name in USES.get(manifest.planner, ())}
 
 
 def adapter_of(planner: str, model: Any, choices: ExportChoices) -> PlannerAdapter:
