@@ -60,6 +60,9 @@ class WoteConfig:
     offsets: whether anchors are moved before they are answered; offset_layers: of what moves them
     world_layers: of the world model, one step of it; 0: the future BEV is the present one
     future_steps: steps of the world model over the horizon
+    shared_future: whether imagined BEVs have the places of the present one and are read by its
+        semantic head, as the published code does; otherwise they have their own
+    rewards_of_all_steps: whether rewards look at every step of the world model, not only the last
     agents, agent_layers: boxes that are detected, layers of their decoder
     semantic_classes: of the semantic BEV
     rewards: what each counts
@@ -90,6 +93,8 @@ class WoteConfig:
     offset_layers: int = 3
     world_layers: int = 2
     future_steps: int = 1
+    shared_future: bool = False
+    rewards_of_all_steps: bool = False
     agents: int = AGENT_QUERIES
     agent_layers: int = 3
     semantic_classes: int = 8
@@ -118,6 +123,8 @@ class WoteConfig:
         looks = bool(self.footprint or self.encounters)
         check("driven", looks or not self.driven, "false without footprint or encounters", True)
         if self.ground_sight:
+            own = not self.shared_future
+            check("shared_future", own, "false with ground_sight, whose BEVs differ", True)
             check("ground_sight", bool(self.footprint), "false without a footprint", True)
             size = self.backbone.bev_size
             check("backbone", size % 8 == 0, "a BEV of 8 n cells a side for ground_sight", size)

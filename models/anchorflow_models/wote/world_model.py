@@ -15,7 +15,8 @@ from anchorflow_models.wote.config import RewardWeights
 class WorldModel(nn.Module):
     """The ego's token and the BEV's attend to each other, `steps` times with the same layers.
 
-    places: [1, 1 + M, W], learned, of the ego and of the BEV's M cells
+    places: [1, 1 + M, W], learned, of the ego and of the BEV's M cells; [1, 1, W] if the cells have
+        those of the present BEV, `keys`
     """
 
     def __init__(
@@ -29,25 +30,36 @@ class WorldModel(nn.Module):
         )
 
     def forward(
-        self, ego: Tensor, bev: Tensor, *, here: Tensor, there: Tensor
-    ) -> tuple[Tensor, Tensor]:
+        self,
+        ego: Tensor,
+        bev: Tensor,
+        *,
+        here: Tensor,
+        there: Tensor,
+        keys: Tensor | None = None,
+    ) -> tuple[Tensor, list[Tensor]]:
         """Ego and BEV in the future of every anchor.
 
         ego: [B, K, W]; bev: [B, M, W]
         here: [M] one-hot, the ego's cell now; there: [B or 1, K, steps, M], its cells to come
-        Returns ego [B, K, W] and BEV [B, K, M, W], the ego added where it will be.
+        keys: [1, M, W], places of cells that are not the world model's own
+        Returns ego [B, K, W] and the BEV [B, K, M, W] after each step, the ego added where it will
+        be.
         """
         batch, count, width = ego.shape
+        places = self.places if keys is None else torch.cat([self.places, keys], 1)
+        futures = []
         bev = inject(bev[:, None], here, ego)
         for step in range(self.steps):
             # Without layers the present BEV is kept.
             if len(self.layers):
                 tokens = torch.cat([ego[:, :, None], bev], 2)
-                tokens = tokens.reshape(batch * count, -1, width) + self.places
+                tokens = tokens.reshape(batch * count, -1, width) + places
                 tokens = self.layers(tokens).reshape(batch, count, -1, width)
                 ego, bev = tokens[:, :, 0], tokens[:, :, 1:]
             bev = inject(bev, there[:, :, step], ego)
-        return ego, bev
+            futures.append(bev)
+        return ego, futures
 
 
 def inject(bev: Tensor, cell: Tensor, ego: Tensor) -> Tensor:
@@ -64,17 +76,17 @@ TINY = 1e-6
 
 
 class RewardHead(nn.Module):
-    """The present and a future BEV, and the ego in it, to rewards.
+    """The present BEV, one of the future or several, and the ego in the last, to rewards.
 
-    The first convolution is one of both BEVs, one upon the other, taken apart: its share of the
+    The first convolution is one of all BEVs, one upon the other, taken apart: its share of the
     present is the same for all anchors.
     """
 
-    def __init__(self, width: int, size: int) -> None:
+    def __init__(self, width: int, size: int, *, futures: int = 1) -> None:
         super().__init__()
-        self.size = size
+        self.size, self.width = size, width
         self.present = nn.Conv2d(width, width, 3, padding=1)
-        self.future = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.future = nn.Conv2d(futures * width, width, 3, padding=1, bias=False)
         self.both = nn.Conv2d(width, width, 3, padding=1)
         self.with_ego = nn.Linear(2 * width, width)
         self.imitation = scalar_head(width)
@@ -83,17 +95,17 @@ class RewardHead(nn.Module):
     def forward(
         self, ego: Tensor, bev: Tensor, future: Tensor, under: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, W]; under: [B, K, W] of footprint
-        and encounters.
+        """ego: [B, K, W]; bev: [B, M, W]; future: [B, K, M, n W] of n steps; under: [B, K, W] of
+        footprint and encounters.
 
         Returns logits of imitation [B, K] and of simulation [B, K, 5].
         """
-        batch, count, cells, width = future.shape
-        images = self.future(self._image(future.reshape(batch * count, cells, width)))
+        batch, count, cells, channels = future.shape
+        images = self.future(self._image(future.reshape(batch * count, cells, channels)))
         present = self.present(self._image(bev))[:, None]
         x = F.relu(images.unflatten(0, (batch, count)) + present).flatten(0, 1)
         # ReLU and mean as one number a channel: what is anywhere counts.
-        seen = F.relu(self.both(x)).mean((-2, -1)).reshape(batch, count, width)
+        seen = F.relu(self.both(x)).mean((-2, -1)).reshape(batch, count, self.width)
         feature = self.with_ego(torch.cat([seen, ego], -1))
         feature = F.relu(feature if under is None else feature + under)
         simulated = torch.cat([head(feature) for head in self.simulation], -1)

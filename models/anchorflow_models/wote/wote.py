@@ -76,7 +76,7 @@ class WoTE(nn.Module):
         classes, channels = config.semantic_classes, backbone.bev_channels
         self.ground: GroundSight | None = None
         self.semantics: SemanticHead | GroundSemanticHead
-        self.future_semantics: SemanticHead | GroundSemanticHead
+        self.future_semantics: SemanticHead | GroundSemanticHead | None = None
         if config.ground_sight:
             self.ground, pooled = GroundSight(backbone), backbone.upscaled_size // backbone.bev_size
             self.ground_tokens = nn.Conv2d(GROUND_WIDTH, width, pooled, pooled)
@@ -84,7 +84,8 @@ class WoTE(nn.Module):
             self.future_semantics = GroundSemanticHead(backbone, channels, classes)
         else:
             self.semantics = SemanticHead(backbone, classes)
-            self.future_semantics = SemanticHead(backbone, classes)
+            if not config.shared_future:
+                self.future_semantics = SemanticHead(backbone, classes)
         self.future_pyramid = FeaturePyramid(width, backbone)
 
         self.to_anchor = _mlp(poses, width, width)
@@ -100,10 +101,11 @@ class WoTE(nn.Module):
             heads,
             hidden=hidden,
             layers=config.world_layers,
-            cells=tokens,
+            cells=0 if config.shared_future else tokens,
             steps=config.future_steps,
         )
-        self.rewards = RewardHead(width, backbone.bev_size)
+        seen = config.future_steps if config.rewards_of_all_steps else 1
+        self.rewards = RewardHead(width, backbone.bev_size, futures=seen)
         self._add_lookups(config)
 
     def _add_lookups(self, config: WoteConfig) -> None:
@@ -310,21 +312,25 @@ class WoTE(nn.Module):
         if motion is None and self.config.driven:
             raise ValueError("motion: expected [B, 4] to tell what is driven, got None")
         here, there = self._cells()
-        ego, future = self.world_model(moved.ego, bev, here=here, there=there[moved.index])
+        keys = self.keys if self.config.shared_future else None
+        ego, futures = self.world_model(
+            moved.ego, bev, here=here, there=there[moved.index], keys=keys
+        )
         poses = self.anchors[moved.index] if poses is None else poses
         if motion is not None:
             poses = driven_by_car(poses, motion, dt=self.config.dt)
         under = None if fine is None else self.footprint(fine, poses)
         if foretold is not None:
             under = self.met(torch.zeros_like(ego) if under is None else under, poses, foretold)
-        imitation, simulation = self.rewards(ego, bev, future, under)
-        return Judged(future, imitation, simulation)
+        rated = torch.cat(futures, -1) if self.config.rewards_of_all_steps else futures[-1]
+        imitation, simulation = self.rewards(ego, bev, rated, under)
+        return Judged(futures[-1], imitation, simulation)
 
     def future_semantic_logits(self, future: Tensor) -> Tensor:
         """Return the classes of an imagined BEV [B, M, W] -> [B, classes, H/2, H]; for training."""
         size = self.config.backbone.bev_size
         image = future.transpose(1, 2).unflatten(-1, (size, size))
-        return self.future_semantics(self.future_pyramid(image))
+        return (self.future_semantics or self.semantics)(self.future_pyramid(image))
 
     def _cells(self) -> tuple[Tensor, Tensor]:
         """One-hot: the ego's cell now [M], and on each anchor after each future step [K, n, M]."""

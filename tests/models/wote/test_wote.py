@@ -15,6 +15,8 @@ from anchorflow_models.wote import RewardWeights, WoTE, WoteConfig, final_scores
 from anchorflow_models.wote.stages import arcs, cells
 from anchorflow_models.wote.world_model import WorldModel, inject
 
+ALL_STEPS = replace(TINY, future_steps=2, shared_future=True, rewards_of_all_steps=True)
+
 pytestmark = pytest.mark.usefixtures("no_grad")
 
 
@@ -51,7 +53,7 @@ def test_the_shapes() -> None:
 
 
 @pytest.mark.parametrize(
-    "config", [replace(TINY, kept=5), replace(TINY, future_steps=3, kept=5), AHEAD]
+    "config", [replace(TINY, kept=5), replace(TINY, future_steps=3, kept=5), AHEAD, ALL_STEPS]
 )
 def test_scenes_do_not_touch_one_another(config: WoteConfig) -> None:
     model, inputs = tiny_wote(config), sensors(config, B=3)
@@ -129,21 +131,43 @@ def test_each_future_step_is_one_more_turn_of_the_same_layers() -> None:
     twice.load_state_dict(once.state_dict())
     ego, bev = torch.randn(1, 3, 6), torch.randn(1, 4, 6)
     here, there = torch.eye(4)[0], torch.eye(4)[[1, 2]].expand(1, 3, -1, -1)
-    ego_1, bev_1 = once(ego, bev, here=here, there=there[:, :, :1])
+    ego_1, (bev_1,) = once(ego, bev, here=here, there=there[:, :, :1])
     wanted = [
         once(ego_1[:, k : k + 1], bev_1[:, k], here=torch.zeros(4), there=there[:, :1, 1:])
         for k in range(3)
     ]
     got_ego, got_bev = twice(ego, bev, here=here, there=there)
+    assert torch.equal(got_bev[0], bev_1)
     torch.testing.assert_close(got_ego, torch.cat([each[0] for each in wanted], 1))
-    torch.testing.assert_close(got_bev, torch.cat([each[1] for each in wanted], 1))
+    torch.testing.assert_close(got_bev[1], torch.cat([each[1][-1] for each in wanted], 1))
+
+
+@torch.no_grad()
+def test_rewards_of_all_steps_hear_the_first_and_a_shared_future_has_one_reader() -> None:
+    model = tiny_wote(ALL_STEPS)
+    names = {name.partition(".")[0] for name in model.state_dict()}
+    assert "future_semantics" not in names
+    assert model.world_model.places.shape[1] == 1
+    inputs = sensors(ALL_STEPS, B=1)
+    before, seen = answer(model, inputs), model.look(**inputs)
+    judged = model.judge(seen.bev, model.move(seen.bev, seen.ego), fine=seen.fine)
+    imagined = model.future_semantic_logits(judged.future[:, 0])
+    assert imagined.shape == seen.semantics.shape
+    width = ALL_STEPS.width
+    model.rewards.future.weight[:, :width] = 0.0  # of the first step's BEV
+    after = answer(model, inputs)
+    assert not torch.equal(before["sim_rewards"], after["sim_rewards"])
+    next(model.semantics.parameters()).mul_(2.0)
+    assert not torch.equal(model.future_semantic_logits(judged.future[:, 0]), imagined)
+    with pytest.raises(ValueError, match="shared_future: expected false with ground_sight"):
+        replace(AHEAD, shared_future=True)
 
 
 def test_without_a_world_model_the_future_is_the_present() -> None:
     world = WorldModel(6, 2, hidden=8, layers=0, cells=4, steps=1)
     ego, bev = torch.randn(1, 3, 6), torch.randn(1, 4, 6)
     here, there = torch.eye(4)[0], torch.eye(4)[[1]].expand(1, 3, -1, -1)
-    future_ego, future = world(ego, bev, here=here, there=there)
+    future_ego, (future,) = world(ego, bev, here=here, there=there)
     assert torch.equal(future_ego, ego)
     assert torch.equal(future[:, :, 2:], bev[:, None, 2:].expand(-1, 3, -1, -1))
     torch.testing.assert_close(future[0, 1, 1], bev[0, 1] + ego[0, 1])

@@ -12,6 +12,7 @@ from torch import Tensor
 from training_runs import descended
 
 from anchorflow_models.wote import WoTE, WoteConfig
+from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.losses import (
     agent_loss,
     distances,
@@ -21,9 +22,11 @@ from anchorflow_training.driving.losses import (
     occupancy_loss,
 )
 from anchorflow_training.driving.wote_objective import (
+    VEHICLE,
     WoteObjective,
     WoteObjectiveConfig,
     likely,
+    with_ego,
 )
 
 TOLD = replace(
@@ -103,6 +106,44 @@ def test_steps_make_every_term_smaller() -> None:
     for name in first:
         assert last[name] < first[name], name
     assert last["offset"] < 0.5 * first["offset"]
+
+
+def test_a_semantic_target_has_the_ego_where_an_anchor_ends() -> None:
+    """A box of 5.176 by 2.297 m, 1.46 m of it behind the rear axle."""
+    cell, street = 0.125, torch.ones(2, 256, 512, dtype=torch.uint8)
+    ends = torch.tensor([[[20.0, -6.0, 0.0], [10.0, 8.0, torch.pi / 2]], [[-9.0, 0, 0]] * 2])
+    drawn = with_ego(street, ends, reach=32.0)
+    assert drawn.shape == (2, 2, 256, 512)
+    area = cell**2 * (drawn == VEHICLE).sum((-1, -2))
+    torch.testing.assert_close(area[0], torch.full((2,), 5.176 * 2.297), atol=1.0, rtol=0)
+    assert area[1].tolist() == [0.0, 0.0]  # behind what is seen
+    rows, columns = (drawn[0, 0] == VEHICLE).nonzero().float().mean(0)
+    assert 32.0 - cell * (rows + 0.5) == pytest.approx(20.0 + 5.176 / 2 - 1.461, abs=0.3)
+    assert 32.0 - cell * (columns + 0.5) == pytest.approx(-6.0, abs=0.3)
+    rows, columns = (drawn[0, 1] == VEHICLE).nonzero().float().mean(0)
+    assert 32.0 - cell * (columns + 0.5) == pytest.approx(8.0 + 5.176 / 2 - 1.461, abs=0.3)
+
+
+def test_several_anchors_learn_what_follows_from_them() -> None:
+    config = replace(
+        TINY,
+        semantic_classes=len(CLASSES),
+        shared_future=True,
+        rewards_of_all_steps=True,
+        future_steps=2,
+    )
+    model, given = tiny_wote(config).train(), batch(config)
+    told = WoteObjectiveConfig(future_anchors=3, judged=5, future_semantics=1.0)
+    objective = WoteObjective(model, told)
+    drawn = objective.draw(2, 1, torch.Generator().manual_seed(0))
+    loss, terms = objective(given, *drawn)
+    loss.backward()
+    missed = [name for name, weight in model.named_parameters() if weight.grad is None]
+    assert missed == []
+    alone = WoteObjective(model, replace(told, future_anchors=1))
+    assert alone(given, *drawn)[1]["future_semantics"] != terms["future_semantics"]
+    first, *_, last = descended(objective, given, drawn, steps=40)
+    assert last["future_semantics"] < first["future_semantics"]
 
 
 def test_some_anchors_are_judged_the_nearest_first() -> None:

@@ -9,9 +9,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_driving.importers.navsim import EGO_SIZE
+from anchorflow_driving.window import REAR_AXLE
 from anchorflow_models.layers.geometry import standing_still
 from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import Moved, WoTE
+from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.losses import (
     PerceptionWeights,
     by_shares,
@@ -28,12 +31,19 @@ from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
 
 TINY = 1e-9
+VEHICLE = CLASSES.index("vehicle")
+BEHIND = REAR_AXLE * EGO_SIZE[0]
+BEFORE = EGO_SIZE[0] - BEHIND
+"""m from the rear axle to the ego's bumpers."""
 
 
 @dataclass(frozen=True)
 class WoteObjectiveConfig(PerceptionWeights):
     """Weights of the terms; the defaults are the published ones.
 
+    future_anchors: anchors a scene whose imagined BEV learns semantics, the nearest to the record
+        and others that are judged, each with the ego drawn at its end; 0: the nearest, without the
+        ego
     judged: anchors a scene that the world model looks at in a step, the nearest to the record and
         others; 0: all
     likely: of those others, how many are drawn by their offset scores, as among them the choice
@@ -48,6 +58,9 @@ class WoteObjectiveConfig(PerceptionWeights):
         False, "Whether EP, TTC and C are learnt of anchors that pass NC and DAC alone."
     )
     future_semantics: float = setting(0.1, "Of the semantic BEV that is imagined.", ge=0)
+    future_anchors: int = setting(
+        0, "Anchors whose imagined semantics are learnt, the ego at the end of each.", ge=0
+    )
     judged: int = setting(0, "Anchors that the world model looks at in a step; 0: all.", ge=0)
     likely: int = setting(0, "Of them, how many are drawn by their offset scores.", ge=0)
     moved: bool = setting(
@@ -98,7 +111,6 @@ class WoteObjective(nn.Module):
         winner = nearest[:, None, None, None].expand(-1, 1, *moved.offsets.shape[2:])
         refined = model.anchors[nearest] + moved.offsets.gather(1, winner)[:, 0]
         share, recorded = shares(batch["is_example"]), shares(batch["is_recorded"])
-        future_semantics = model.future_semantic_logits(imagined.future[:, 0])
         terms = {
             "offset": by_shares(share, (refined - batch["future"]).abs().mean((1, 2))),
             "offset_imitation": by_shares(share, self._likeness(moved.logits, distance)),
@@ -108,10 +120,7 @@ class WoteObjective(nn.Module):
             "simulation": sub_score_loss(imagined.simulation, pdm)
             if config.conditional
             else F.binary_cross_entropy_with_logits(imagined.simulation, pdm),
-            # The first that is judged is the nearest to what was driven.
-            "future_semantics": by_shares(
-                recorded, focal_loss(future_semantics, batch["future_semantics"])
-            ),
+            "future_semantics": by_shares(recorded, self._imagined(batch, imagined.future, poses)),
         }
         if config.rank:
             scores = pdm_score(imagined.simulation.sigmoid())
@@ -120,6 +129,21 @@ class WoteObjective(nn.Module):
         if not model.config.offsets:
             terms = {name: term for name, term in terms.items() if not name.startswith("offset")}
         return config.total(terms), terms
+
+    def _imagined(self, batch: Mapping[str, Tensor], future: Tensor, poses: Tensor) -> Tensor:
+        """Return the focal loss [B] of imagined semantics.
+
+        future: [B, K', M, W] of anchors, the nearest to what was driven first, with poses
+            [B, K', T, 3]
+        """
+        wanted, count = batch["future_semantics"], self.config.future_anchors
+        if not count:
+            return focal_loss(self.model.future_semantic_logits(future[:, 0]), wanted)
+        imagined, ends = future[:, :count], poses[:, :count, -1]
+        reach = self.model.config.backbone.lidar_range
+        wanted = with_ego(wanted, ends, reach=reach).flatten(0, 1)
+        logits = self.model.future_semantic_logits(imagined.flatten(0, 1))
+        return focal_loss(logits, wanted).unflatten(0, ends.shape[:2]).mean(1)
 
     def _chosen(self, order: Tensor, nearest: Tensor, ranked: Tensor) -> Tensor:
         """[B, K'] the nearest first, then the likeliest, then others in a random order."""
@@ -141,6 +165,23 @@ class WoteObjective(nn.Module):
     def _likeness(self, logits: Tensor, distance: Tensor) -> Tensor:
         """[B]"""
         return likeness_loss(logits, distance, over=self.config.likeness)
+
+
+def with_ego(classes: Tensor, ends: Tensor, *, reach: float) -> Tensor:
+    """Return semantic BEVs [B, n, H/2, H] with the ego drawn at poses [B, n, 3], as a vehicle.
+
+    classes: [B, H/2, H], from the rear axle to `reach` m ahead and to either side
+    """
+    rows, columns = classes.shape[-2:]
+    cell = reach / rows
+    x = reach - cell * (torch.arange(rows, device=ends.device) + 0.5)
+    y = reach - cell * (torch.arange(columns, device=ends.device) + 0.5)
+    dx = x[:, None] - ends[..., 0, None, None]
+    dy = y - ends[..., 1, None, None]
+    cos, sin = ends[..., 2, None, None].cos(), ends[..., 2, None, None].sin()
+    ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
+    inside = (ahead > -BEHIND) & (ahead < BEFORE) & (left.abs() < EGO_SIZE[1] / 2)
+    return torch.where(inside, VEHICLE, classes[:, None])
 
 
 def likely(logits: Tensor, luck: Tensor) -> Tensor:
