@@ -22,13 +22,13 @@ from anchorflow_training.settings import build
 
 CHANNELS, ROWS, COLUMNS, POSES = 64, 40, 27, 2
 EXTENT = (-4.0, 36.0, -13.5, 13.5)  # m, a cell of 1 m
-DT, SPEED = 1.2, 8.0
+DT, SPEED = 0.5, 14.0
 WINDOWS = 12
 SMALL = {"goals": 8, "picked": 2, "width": 16, "layers": 1, "channels": 8, "feature_channels": 4}
 
 
 def arrays(number: int) -> dict[str, Any]:
-    """A car that bends to where one of the channels is bright, at 8 m/s."""
+    """A car that bends to where one of the channels is bright, at 14 m/s."""
     bend = (number % 3 - 1) * 0.05
     turned = bend * SPEED * DT * np.arange(1, POSES + 1)
     way = SPEED * DT * np.stack([np.cos(turned), np.sin(turned)], -1).cumsum(0)
@@ -87,11 +87,11 @@ def test_trained_exported_and_served_by_commands(features: Path, tmp_path: Path)
     succeed("train", features, "--planner", "goalflow", "--out", run, *words)
     config = restore_model(load_checkpoint(run / "checkpoint.pt")).config
     assert (config.num_steps, config.dt, config.bev.channels) == (POSES, DT, CHANNELS)
-    succeed("export", run / "checkpoint.pt", "--goal-inputs", "--out", bundle)
+    succeed("export", run / "checkpoint.pt", "--out", bundle)
     manifest = load_bundle(bundle).manifest
     assert manifest.request.inputs[0].shape == ("B", CHANNELS, ROWS, COLUMNS)
     assert manifest.finish.kind == "none"
-    one, goal = arrays(0), np.array([[17.0, 3.0]], np.float32)
+    one = arrays(0)
     inputs = {
         "bev": one["bev"].astype(np.float32),
         "ego_status": one["ego"],
@@ -101,8 +101,6 @@ def test_trained_exported_and_served_by_commands(features: Path, tmp_path: Path)
         anchors = client.plan(inputs=inputs, num_samples=8, seed=0)
         assert anchors.trajectories.shape == (8, POSES, 3)
         assert anchors.first_s == pytest.approx(DT)
-        led = client.plan(inputs={**inputs, "goal": goal}, num_samples=8, seed=0)
-        assert np.linalg.norm(led.trajectories[:, -1, :2] - goal, axis=-1).max() < 0.1
         with pytest.raises(InvalidRequest, match=r"bev.*64"):
             client.plan(inputs={**inputs, "bev": inputs["bev"][:20]}, num_samples=8)
 
@@ -113,7 +111,7 @@ def test_trained_exported_and_served_by_commands(features: Path, tmp_path: Path)
         (lambda a: a.pop("trajectory"), r"001\.npz: trajectory: expected an array \[T, 2 or 3\]"),
         (lambda a: a.update(ego=np.zeros(5)), r"001\.npz: ego: expected \[8\], found \[5\]"),
         (lambda a: a.update(bev=a["bev"][:32]), r"bev: expected \(64, 40, 27\), as 000\.npz"),
-        (lambda a: a.update(dt=0.5), r"dt: expected \(1\.2,\), as 000\.npz, found \(0\.5,\)"),
+        (lambda a: a.update(dt=0.4), r"dt: expected \(0\.5,\), as 000\.npz, found \(0\.4,\)"),
         (lambda a: a["trajectory"].__setitem__(0, np.nan), "trajectory: expected finite numbers"),
         (lambda a: a.update(goal=np.zeros(3)), r"goal: expected \[2\], found \[3\]"),
     ],
