@@ -14,7 +14,7 @@ from anchorflow_export.planners.v2x_vlm import v2x_vlm_adapter
 from anchorflow_export.planners.wote import wote_adapter
 from anchorflow_export.tracing import ExportError
 from anchorflow_service.bundle import Bundle
-from anchorflow_service.bundle.manifest import OdeEntry, SplineEntry
+from anchorflow_service.bundle.entries import OdeEntry, SplineEntry
 
 ADAPTERS: Mapping[str, Callable[[Any, ExportChoices], PlannerAdapter]] = {
     "flowmp": flowmp_adapter,
