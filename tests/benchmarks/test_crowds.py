@@ -64,6 +64,42 @@ def test_mppi_passes_and_arrives(windows: Path, robot: str) -> None:
         assert trip.short < 0.5
 
 
+def test_guidance_climbs_the_reward_of_barriers_to_people() -> None:
+    cfm_mppi = pytest.importorskip("anchorflow_benchmarks.crowds.cfm_mppi", exc_type=ImportError)
+    rng = np.random.default_rng(0)
+    velocities, start = rng.normal(size=(3, 12, 2)), np.array([1.0, -1.0])
+    walking = rng.normal(size=(7, 2))
+    places = rng.normal(size=(7, 1, 2)) + TICK_S * np.arange(1, 13)[:, None] * walking[:, None]
+
+    def reward(velocities: Array) -> float:
+        apart = start + TICK_S * velocities.cumsum(1)[:, None] - places
+        closing = velocities[:, None] - walking[:, None]
+        kept = 2 * (apart * closing).sum(-1) + (apart**2).sum(-1) - CONTACT**2
+        worst = np.sort(np.minimum(kept, 0.0), axis=1)[:, : cfm_mppi.WORST]
+        return float((worst * np.arange(cfm_mppi.WORST, 0, -1)[:, None]).sum())
+
+    slope = cfm_mppi.safety_slope(velocities, start, places, walking)
+    assert np.abs(slope).max() > 0.1
+    for at in np.ndindex(*velocities.shape):
+        step = np.zeros_like(velocities)
+        step[at] = 1e-6
+        found = (reward(velocities + step) - reward(velocities - step)) / 2e-6
+        assert slope[at] == pytest.approx(found, abs=1e-4)
+
+
+def test_cfm_mppi_passes_who_stands_in_the_way(
+    windows: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cfm_mppi = pytest.importorskip("anchorflow_benchmarks.crowds.cfm_mppi", exc_type=ImportError)
+    monkeypatch.setattr(cfm_mppi, "CROWDS", 4)
+    field = cfm_mppi.trained_field(300)
+    monkeypatch.setattr(cfm_mppi, "trained_field", lambda: field)
+    standing, _ = read_recordings(windows)
+    trip = drive(standing, cfm_mppi.CfmMppiDriver(), robot=ROBOTS[0])
+    assert (trip.contacts, trip.braked) == (0, 0.0)
+    assert trip.short < 1.0
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_judge_outside_the_project_agrees(
     windows: Path, robot: str, shared_tool: Callable[[str], ModuleType]

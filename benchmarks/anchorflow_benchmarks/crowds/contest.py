@@ -45,6 +45,8 @@ TURN_MAX = 2.0  # rad/s of the unicycle
 ROOMS, SEEDS = 100, 3
 ANCHORS = {"tracks": "with tracks", "discs": "with painted discs"}
 DRIVERS = (*ANCHORS, "mppi", "straight")
+CFM_MPPI = "cfm-mppi"
+"""Beside the drivers of a run by default: it trains first."""
 
 
 @dataclass(frozen=True)
@@ -157,8 +159,9 @@ def drivers_of(
 
     Raises `BenchmarkError` if a name is unknown.
     """
-    if unknown := [name for name in names if name not in DRIVERS]:
-        raise BenchmarkError(f"--drivers: expected some of {', '.join(DRIVERS)}, got {unknown[0]}")
+    known = (*DRIVERS, CFM_MPPI)
+    if unknown := [name for name in names if name not in known]:
+        raise BenchmarkError(f"--drivers: expected some of {', '.join(known)}, got {unknown[0]}")
     kinds = [name for name in ANCHORS if name in names]
     engines = [Engine(bundle, threads=threads) for bundle in bundles if kinds]
     drivers: list[Driver] = [
@@ -169,6 +172,11 @@ def drivers_of(
         for name in kinds
     ]
     plain: dict[str, Driver] = {"mppi": MppiDriver(), "straight": StraightDriver()}
+    if CFM_MPPI in names:
+        who = f"anchorflow bench crowds --drivers {CFM_MPPI}"
+        with needs_extra("crowds", who=who), needs_extra("train", who=who):
+            from anchorflow_benchmarks.crowds.cfm_mppi import CfmMppiDriver
+        plain[CFM_MPPI] = CfmMppiDriver()
     return drivers + [driver for name, driver in plain.items() if name in names]
 
 

@@ -53,8 +53,8 @@ class StraightDriver:
     def step(self, world: World, state: Array) -> Array:
         way = world.goal - state[:2]
         left = world.left_s or np.hypot(*way) / CRUISE
-        wanted = _at_most(way / max(left - 0.4, 0.4), V_MAX)
-        return moved(state, _at_most((wanted - state[2:4]) / self.response_s, A_MAX))
+        wanted = at_most(way / max(left - 0.4, 0.4), V_MAX)
+        return moved(state, at_most((wanted - state[2:4]) / self.response_s, A_MAX))
 
 
 class MppiDriver:
@@ -78,7 +78,7 @@ class MppiDriver:
         blocks = (self.samples, self.steps // self.held, 2)
         noise = self._rng.normal(0.0, self.sigma, blocks).repeat(self.held, axis=1)
         noise[0] = 0.0
-        plans = _at_most(self._plan + noise, A_MAX)
+        plans = at_most(self._plan + noise, A_MAX)
         cost = self._cost(world, state, plans)
         weights = np.exp((cost.min() - cost) / self.temperature)
         self._plan = np.tensordot(weights / weights.sum(), plans, 1)
@@ -203,10 +203,10 @@ def moved(state: Array, acceleration: Array) -> Array:
 
 def braked(state: Array) -> Array:
     """Return the state [6] after TICK_S of the hardest braking."""
-    return moved(state, _at_most(-state[2:4] / TICK_S, A_MAX))
+    return moved(state, at_most(-state[2:4] / TICK_S, A_MAX))
 
 
-def _at_most(vectors: Array, size: float) -> Array:
+def at_most(vectors: Array, size: float) -> Array:
     """Shorten vectors [..., 2] to a size."""
     norm = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors * (size / np.maximum(norm, size))
