@@ -16,6 +16,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from anchorflow_benchmarks import BenchmarkError, options
+from anchorflow_benchmarks.field_costs import field_rows
 from anchorflow_benchmarks.plain_loops import (
     PRODUCT_FLOPS,
     Arrays,
@@ -50,6 +51,8 @@ from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.threads import usable_cores
 
 SEED = 1
+FIELDS_NUM = 64
+"""Anchors of the requests whose fields are timed."""
 STAGES = ("encode", "sample", "refine", "total")
 REST_S = 0.1
 """Pause before each call. The threads of OpenBLAS and onnxruntime spin for some 25 ms after a call
@@ -312,7 +315,23 @@ def latency(
     ]
     found = load_scenes(scenes, limits=limits_of(bundles[0]))
     tables = latency_tables(contests, found, config, progress=say)
-    report("Latency", {"scenes": scenes, "threads": str(config.threads)}, tables, out)
+    with threadpool_limits(config.threads):
+        more = [
+            ResultTable(
+                f"What fields cost: {contest.name}, {sampler_name(contest.sampler)}",
+                field_rows(
+                    Engine(contest.bundle, threads=config.threads),
+                    found,
+                    num=FIELDS_NUM,
+                    sampler=contest.sampler,
+                    rounds=rounds,
+                    budget_s=budget_s,
+                    rest_s=REST_S,
+                ),
+            )
+            for contest in contests
+        ]
+    report("Latency", {"scenes": scenes, "threads": str(config.threads)}, tables + more, out)
 
 
 def _loops(

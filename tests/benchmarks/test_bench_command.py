@@ -79,7 +79,7 @@ NO_SCENES = ("--scenes", "nowhere.npz")
         (("crowds", "--robot", "hovercraft"), "--robot: expected double-integrator or"),
         (
             ("crowds", "--drivers", "luck"),
-            "expected some of tracks, discs, mppi, straight, got luck",
+            "expected some of tracks, discs, mppi, straight, cfm-mppi, got luck",
         ),
         (("crowds", "--windows", "nowhere.npz"), "nowhere.npz: not a file of people"),
         (("load", "--url", "http://127.0.0.1:1"), "http://127.0.0.1:1: [Errno 111]"),

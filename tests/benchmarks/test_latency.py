@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -17,14 +18,16 @@ import torch
 from flowmp_scenes import make_model
 
 from anchorflow_benchmarks import BenchmarkError
+from anchorflow_benchmarks.field_costs import FIELDS, field_rows
 from anchorflow_benchmarks.latency import Contest, LatencyConfig, latency_tables, onnx_loop
 from anchorflow_benchmarks.plain_loops import count_flops, repeated, torch_loop
 from anchorflow_benchmarks.planners import parse_sampler
 from anchorflow_benchmarks.scene_files import draw_scenes
 from anchorflow_benchmarks.turns import MIN_ROUNDS, p50, p99, take_turns
-from anchorflow_client.contract import OdeSpec
+from anchorflow_client.contract import OdeSpec, ResolvedRequest
 from anchorflow_models import L2SafetyCFM
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
+from anchorflow_service.engine import Engine
 from anchorflow_service.engine.samplers.flow import Beginning
 from anchorflow_training.checkpoint import Checkpoint, save_checkpoint
 from anchorflow_training.scenes import FamilyScene
@@ -64,6 +67,30 @@ def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[Fami
     assert ratio["evaluations"] == 4
     assert float(ratio["floor ms"] or 0) > 0
     assert {"total / ONNX loop", "total / inputs repeated"} <= set(ratio)
+
+
+def test_fields_are_timed_by_turns_on_maps_that_are_new(
+    bundle: Bundle, scenes: list[FamilyScene]
+) -> None:
+    sampler = parse_sampler("midpoint:uniform2", bundle.card)
+    asked: list[ResolvedRequest] = []
+
+    class Noted(Engine):
+        def plan(self, request: ResolvedRequest, **options: Any) -> Any:
+            asked.append(request)
+            return super().plan(request, **options)
+
+    engine = Noted(bundle, threads=1)
+    asked.clear()  # it asks itself at the start
+    rows = field_rows(engine, scenes, num=2, sampler=sampler, rounds=3, budget_s=0.0)
+    assert [row["request"] for row in rows] == [*FIELDS]
+    assert rows[0]["p50 over plain"] == 1.0
+    assert all(row["requests"] == MIN_ROUNDS for row in rows)
+    assert sum(each.obstacles is not None for each in asked) == MIN_ROUNDS + 1
+    assert sum(each.footprint is not None for each in asked) == MIN_ROUNDS + 1
+    assert sum(each.cost_map.data.shape[1] == 3 for each in asked) == MIN_ROUNDS + 1
+    maps = {each.cost_map.data[:, 0].tobytes() for each in asked}
+    assert len(maps) == 1 + (len(FIELDS) - 1) * (MIN_ROUNDS + 1)
 
 
 def test_other_providers_are_asked_by_turns_and_held_against_the_cpu(

@@ -22,6 +22,7 @@ from anchorflow_driving.geometry import into_frame, out_of_frame
 from anchorflow_driving.log import COMMANDS, write_log
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
+from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
@@ -54,7 +55,7 @@ def test_every_frame_holds_what_the_card_asks_for(
     head = {"format": "anchorflow-drive", "version": 1, "bundle": "goalflow"}
     assert {name: drive[name] for name in head} == head
     names = [each["name"] for each in drive["inputs"]]
-    assert names == ["bev", "ego_status", "vehicle_size", "route"]
+    assert names == ["bev", "ego_status", "vehicle_size", "route", "others"]
     windows = [*Scenes(windows_on_the_way(bend(0), every_s=0.4))]
     assert len(windows) == len(drive["frames"]) == 7
     for window, frame in zip(windows, drive["frames"], strict=True):
@@ -67,6 +68,7 @@ def test_every_frame_holds_what_the_card_asks_for(
         )
         route = route_ahead(window.view.route.points)
         np.testing.assert_allclose(unpacked(inputs["route"]), route, rtol=1e-5, atol=1e-3)
+        np.testing.assert_array_equal(unpacked(inputs["others"]), others_seen(window.view))
         np.testing.assert_allclose(frame["recorded"], window.recorded(PLAN_TIMES), atol=1e-3)
 
 

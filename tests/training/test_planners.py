@@ -41,7 +41,7 @@ from anchorflow_training.trainer import CFMTrainer
 Arrays = dict[str, np.ndarray]
 
 SCENES = 5
-SHIPPED = "flowmp, goalflow, wote, diffusiondrive, v2x_vlm"
+SHIPPED = "flowmp, goalflow, wote, diffusiondrive, v2x_vlm, futures"
 
 
 @dataclass(frozen=True)

@@ -300,8 +300,12 @@ def test_training_denoises_as_the_service_does() -> None:
         name: SimpleNamespace(input_names=role.inputs, output_names=role.outputs)
         for name, role in adapter.roles.items()
     }
+    parts = adapter.parts
     manifest: Any = SimpleNamespace(
-        **vars(adapter.parts), graphs=names, request=SimpleNamespace(inputs=adapter.parts.inputs)
+        **vars(parts),
+        graphs=names,
+        request=SimpleNamespace(inputs=parts.inputs),
+        sampled_extras=parts.answer.extras,
     )
     sampler = TruncatedDiffusionSampler(manifest, TorchGraphs(adapter.roles), threads=1)
     own = {name: given[name][:1] for name in ("camera", "lidar", "ego_status")}
