@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from anchorflow_cli.options import command_app, file_option
+from anchorflow_client.contract.batch import FUTURES
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.planners import choices_of
 from anchorflow_export.read_back import read_weights
@@ -33,7 +34,8 @@ def checkpoint(
 ) -> None:
     """Read a bundle's weights back from its graphs, to train on or to export again.
 
-    Parts that no graph holds, such as heads of the loss alone, begin anew and are named.
+    Parts that no graph holds, such as heads of the loss alone, begin anew and are named. The
+    network of the others' futures is not read.
     """
     opened = load_bundle(bundle)
     saved = _without_weights(opened)
@@ -47,6 +49,8 @@ def checkpoint(
     for difference in read.differences:
         typer.echo(str(difference))
     typer.echo(f"begin anew: {', '.join(read.anew) or 'none'}")
+    if FUTURES in opened.manifest.graphs:
+        typer.echo(f"not read: {FUTURES}, of another network; add it to a new bundle again")
     typer.echo(out)
 
 
