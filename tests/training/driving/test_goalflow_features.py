@@ -114,6 +114,8 @@ def test_trained_exported_and_served_by_commands(features: Path, tmp_path: Path)
         (lambda a: a.update(dt=0.4), r"dt: expected \(0\.5,\), as 000\.npz, found \(0\.4,\)"),
         (lambda a: a["trajectory"].__setitem__(0, np.nan), "trajectory: expected finite numbers"),
         (lambda a: a.update(goal=np.zeros(3)), r"goal: expected \[2\], found \[3\]"),
+        (lambda a: a.update(size=np.zeros(2)), r"001\.npz: size: expected above 0"),
+        (lambda a: a.update(extent=a["extent"][::-1]), "extent: expected the least x before"),
     ],
 )
 def test_a_window_that_does_not_fit_is_named(

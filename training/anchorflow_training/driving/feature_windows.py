@@ -42,6 +42,7 @@ SHAPES = {
     "dt": (),
 }
 OPTIONAL = ("goal", "size", "dt")
+ABOVE_0 = ("size", "dt")
 SAME_SHAPES, SAME_NUMBERS = ("bev", "trajectory"), ("extent", "dt")
 """What all windows have alike."""
 
@@ -85,15 +86,19 @@ def has_features(folder: Path) -> bool:
 def open_features(folder: Path) -> FeatureWindows:
     """Return the windows of a folder. Raises `LogError` if one lacks something or differs."""
     files = open_logs(folder)
-    read = [_read(file, SHAPES) for file in files]
-    first = read[0]
-    for file, arrays in zip(files, read, strict=True):
-        for name in (*SAME_SHAPES, *SAME_NUMBERS):
-            own, wanted = (_alike(name, each[name]) for each in (arrays, first))
-            if own != wanted:
+    read: list[Arrays] = []
+    first: Mapping[str, tuple[Any, ...]] = {}
+    for file in files:
+        arrays = _read(file, SHAPES)
+        alike = {name: _alike(name, arrays[name]) for name in (*SAME_SHAPES, *SAME_NUMBERS)}
+        first = first or alike
+        for name, wanted in first.items():
+            if alike[name] != wanted:
                 expected = f"{wanted}, as {files[0].name}"
-                raise LogError(file, name, expected=expected, found=f"{own}")
-    dt, (channels, rows, columns) = float(first["dt"]), first["bev"].shape
+                raise LogError(file, name, expected=expected, found=f"{alike[name]}")
+        del arrays["bev"]  # all of them may be more than the memory holds
+        read.append(arrays)
+    (dt,), (channels, rows, columns) = first["dt"], first["bev"]
     drives = [np.array(each["trajectory"][:, :2], np.float64) for each in read]
     longest = max(float(arc_lengths(np.concatenate([np.zeros((1, 2)), d]))[-1]) for d in drives)
     points = int((longest + BEYOND_M) / SPACING)
@@ -106,7 +111,7 @@ def open_features(folder: Path) -> FeatureWindows:
         along=np.stack(alongs).astype(np.float32),
         goal=np.stack([each["goal"] for each in read]).astype(np.float32),
         log=np.arange(len(files)),
-        times=np.cumsum(np.full(len(drives[0]), dt)),
+        times=np.cumsum(np.full(len(drives[0]), float(dt))),
         layout={
             "channels": channels,
             "rows": rows,
@@ -171,6 +176,11 @@ def _check(file: Path, name: str, array: NDArray[Any]) -> None:
         raise LogError(file, name, expected=_shape(name), found=f"{[*array.shape]}")
     if array.dtype.kind not in "fiu" or not np.isfinite(array).all():
         raise LogError(file, name, expected="finite numbers", found=f"others, {array.dtype}")
+    if name in ABOVE_0 and not (array > 0).all():
+        raise LogError(file, name, expected="above 0", found=f"{array.tolist()}")
+    if name == "extent" and not (array[0] < array[1] and array[2] < array[3]):
+        expected = "the least x before the greatest, and of y"
+        raise LogError(file, name, expected=expected, found=f"{array.tolist()}")
 
 
 def _shape(name: str) -> str:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from anchorflow_client.sensors import OTHERS, OTHERS_TIMES_S
+from anchorflow_client.sensors import KIND, OTHERS, OTHERS_TIMES_S
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.futures import KIND, MISSED_M, MOVING_M, recorded_futures
+from anchorflow_driving.futures import MISSED_M, MOVING_M, recorded_futures
 from anchorflow_driving.log import read_log
 from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes

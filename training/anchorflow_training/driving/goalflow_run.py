@@ -91,7 +91,8 @@ class GoalFlowRun(DrivingRun):
         if isinstance(windows, DrivingWindows):
             check_horizon(config.model.num_steps, whole=scored)
         elif scored:
-            raise ConfigError(f"objective.stage: expected flow, as logs alone have {scored[4:]}")
+            said = "expected flow, as the PDM score needs logs, got outcomes"
+            raise ConfigError(f"objective.stage: {said}")
         if self.learns_outcomes != config.model.outcomes:
             raise ConfigError(
                 f"model.outcomes: expected {str(self.learns_outcomes).lower()} in the stage "
