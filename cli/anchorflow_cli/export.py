@@ -114,8 +114,9 @@ def export(
     asked = {name: value for name, value in asked.items() if value is not None}
     check_used(saved.planner, [*asked, *(["int8"] if int8 else [])])
     if isinstance(model, FuturesNetwork):
-        if name is not None:
-            raise ExportError(f"name: expected none, as {out} has one, got {name}")
+        for option, value in (("name", name), ("like", like)):
+            if value is not None:
+                raise ExportError(f"{option}: expected none, as {out} has its own, got {value}")
         training = provenance(saved)
         with _sigterm_cleans_up():
             for difference in add_futures(model, out, training=training, version=version):

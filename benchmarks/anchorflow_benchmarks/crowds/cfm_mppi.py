@@ -56,6 +56,9 @@ class CfmMppiDriver:
     def step(self, world: World, state: Array) -> Array:
         if world.left_s is None:
             raise BenchmarkError("CFM-MPPI is for recorded people: rooms have walls")
+        if world.ticks > TICKS:
+            expected = f"windows of at most {TICKS * TICK_S:g} s, got {world.ticks * TICK_S:g}"
+            raise BenchmarkError(f"CFM-MPPI: expected {expected}")
         if not self._driven:
             self._start = state[:2].copy()
         people = world.present

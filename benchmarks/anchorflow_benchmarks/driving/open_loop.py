@@ -375,10 +375,12 @@ def drive(
     chosen = named_drivers(options.comma_separated(drivers))
     asked = samplers.split(",")
     ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
+    if foreseeing and not any(driver.predicts for driver in ours):
+        raise BenchmarkError("--foreseeing: expected a --bundle whose card has futures, got none")
     for driver in ours:
-        ways = [driver, driver.along_route()] if along_route else [driver]
-        ways += [way.guarded() for way in ways] if guarded else []
-        ways += [way.foreseeing() for way in ways if foreseeing and way.predicts]
+        plain = [driver, driver.along_route()] if along_route else [driver]
+        ways = plain + ([way.guarded() for way in plain] if guarded else [])
+        ways += [way.foreseeing() for way in plain if foreseeing and way.predicts]
         seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
     for name, entry in list(chosen.items()):
