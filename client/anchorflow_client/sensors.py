@@ -51,6 +51,10 @@ OTHERS = 48
 """The most of whom a planner is told."""
 OTHERS_TIMES_S = (-2.0, -1.5, -1.0, -0.5, 0.0)
 """s from now, for which it is told where they were."""
+X, Y, HEADING, VX, VY, LENGTH, WIDTH, KIND = range(8)
+"""The numbers that it is told of somebody at one of these times."""
+KINDS = (1, 2, 3)
+"""Vehicle, person, cyclist; 0 is nobody."""
 SAME_POINT = 1e-6  # m; nearer points of a polyline are one
 
 
@@ -294,8 +298,8 @@ def others_before(states: ArrayLike, size: ArrayLike, kind: ArrayLike) -> Floats
 
     Args:
         states: [K, 5, 5] x, y, heading, velocity x, y of the boxes' middles at OTHERS_TIMES_S; NaN
-            where somebody was not there yet.
-        size: [K, 2] length, width.
+            where somebody was not there.
+        size: [K, 2] length, width, above 0.
         kind: [K], 1 to 3.
 
     Raises:
@@ -313,10 +317,13 @@ def others_before(states: ArrayLike, size: ArrayLike, kind: ArrayLike) -> Floats
     ):
         if array.shape != shape:
             raise InvalidRequest(f"expected {[*shape]}, got {list(array.shape)}", name)
-    if not np.isin(kinds, (1, 2, 3)).all():
+    if not np.isin(kinds, KINDS).all():
         raise InvalidRequest("expected 1, 2 or 3", "kind")
-    away = np.hypot(moves[:, -1, 0], moves[:, -1, 1])
-    order = np.argsort(away, kind="stable")[:OTHERS]  # NaN comes last
+    if not (np.isfinite(boxes) & (boxes > 0)).all():
+        raise InvalidRequest("expected m above 0", "size")
+    away = np.hypot(moves[:, -1, X], moves[:, -1, Y])
+    away[~np.isfinite(moves[:, -1]).all(-1)] = np.inf
+    order = np.argsort(away, kind="stable")[:OTHERS]
     order = order[np.isfinite(away[order])]
     told = np.concatenate([boxes, kinds[:, None]], 1)[order, None].repeat(times, 1)
     rows = np.concatenate([moves[order], told], -1)

@@ -23,7 +23,7 @@ from anchorflow_client.contract import (
     TruncatedDiffusionSpec,
     VocabularySpec,
 )
-from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
+from anchorflow_client.contract.batch import FUTURES
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.geometry import Array
@@ -178,15 +178,9 @@ class BundleDriver:
     def _foreseen(self, view: PlannerView, inputs: dict[str, Any]) -> NDArray[np.uint8]:
         # Here, because they need Pillow.
         from anchorflow_driving.foreseen_bev import foreseen_bev
-        from anchorflow_driving.futures import Futures
+        from anchorflow_driving.futures import asked_futures
 
-        answer = self._client.plan(
-            inputs=inputs, outputs=[FUTURES, FUTURE_PROBABILITIES], num_samples=1, seed=0
-        )
-        poses, probabilities = (
-            np.asarray(each, np.float64) for each in (answer.futures, answer.future_probabilities)
-        )
-        return foreseen_bev(view, Futures(poses, probabilities))
+        return foreseen_bev(view, asked_futures(self._client, inputs))
 
 
 def _doubles(answer: AnchorBatch, name: str) -> Array | None:

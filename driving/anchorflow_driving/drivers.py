@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from anchorflow_driving.geometry import Array, out_of_frame, wrap_angle
+from anchorflow_driving.geometry import Array, arc_ends, out_of_frame, wrap_angle
 from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.pdm.collisions import boxes_touch
 from anchorflow_driving.pdm.pdm_closed import pdm_closed
@@ -64,10 +64,7 @@ def stop(window: Window, times: Array = PLAN_TIMES) -> Array:
     time = np.minimum(times, state.speed / BRAKING)
     distance = state.speed * time - BRAKING / 2 * time**2
     curvature = np.clip(state.curvature, -SHARPEST_CURVATURE, SHARPEST_CURVATURE)
-    turn = curvature * distance
-    # Chord and direction of the arc; sinc holds where it is straight.
-    chord = distance * np.sinc(turn / 2 / np.pi)
-    return np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], axis=-1)
+    return arc_ends(distance, curvature * distance)
 
 
 def idm(window: Window, times: Array = PLAN_TIMES) -> Array:

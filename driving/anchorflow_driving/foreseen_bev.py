@@ -1,7 +1,6 @@
 """The raster with the others where they are predicted to be, instead of at constant velocity.
 
-answer = client.plan(inputs=inputs, outputs=["futures", "future_probabilities"], num_samples=1)
-inputs["bev"] = foreseen_bev(view, Futures(answer.futures, answer.future_probabilities))
+inputs["bev"] = foreseen_bev(view, asked_futures(client, inputs))
 """
 
 from __future__ import annotations
@@ -9,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.sensors import OTHERS
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.futures import Futures
 from anchorflow_driving.geometry import Array, into_frame
-from anchorflow_driving.sensors.bev import BEV, FULL, BevGrid, Bytes, draw_bev, draw_boxes
+from anchorflow_driving.sensors.bev import BEV, FULL, BevGrid, Bytes, draw_bev, draw_boxes, later
 from anchorflow_driving.sensors.others import tracks_told
 from anchorflow_driving.window import PlannerView
 
@@ -28,7 +26,7 @@ def foreseen_bev(view: PlannerView, futures: Futures, grid: BevGrid = BEV) -> By
     futures: of `others_seen`; beyond their last pose the others keep its velocity. Static objects
     are drawn as ever.
     """
-    told = tracks_told(view)[:OTHERS]
+    told = tracks_told(view)
     drawn = draw_bev(view, grid)
     first = grid.channels.index(f"occupied_{grid.ahead_s[0]:.1f}s")
     rest = _not_told(view, told, grid)
@@ -45,12 +43,7 @@ def _not_told(view: PlannerView, told: NDArray[np.int_], grid: BevGrid) -> Bytes
     """Return the channels [L, H, W] of those whom no prediction is for, at constant velocity."""
     now = np.array(view.tracks[:, -1])
     now[[view.ego, *told]] = np.nan
-    sizes, later = view.track_size, now.copy()
-    drawn = []
-    for time in grid.ahead_s:
-        later[:, :2] = now[:, :2] + time * now[:, 3:]
-        drawn.append(draw_boxes(later, sizes, grid))
-    return np.stack(drawn)
+    return np.stack([draw_boxes(later(now, s), view.track_size, grid) for s in grid.ahead_s])
 
 
 def _continued(poses: Array, grid: BevGrid) -> Array:

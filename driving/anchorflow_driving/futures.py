@@ -6,22 +6,23 @@ the boxes' middles at PLAN_TIMES, in the frame of the ego's rear axle now, and p
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.sensors import OTHERS, OTHERS_TIMES_S
+from anchorflow_client.base_client import BaseClient
+from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
+from anchorflow_client.sensors import HEADING, KIND, OTHERS, OTHERS_TIMES_S, VX, VY, X, Y
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.geometry import Array, into_frame, out_of_frame, wrap_angle
+from anchorflow_driving.geometry import Array, arc_ends, into_frame, out_of_frame, wrap_angle
 from anchorflow_driving.lane_paths import LanePaths
 from anchorflow_driving.log import FRAME_S, PEDESTRIAN
 from anchorflow_driving.sensors.others import tracks_told
 from anchorflow_driving.window import PlannerView, Window
 
-X, Y, HEADING, VX, VY, LENGTH, WIDTH, KIND = range(8)
 MISSED_M = 2.0
 """At the end, beyond which all modes count as a miss."""
 MOVING_M = 2.0
@@ -35,7 +36,10 @@ SLOWEST_TURN = 1.0  # m/s; below it a turn rate is noise
 
 @dataclass(frozen=True, eq=False)
 class Futures:
-    """poses: [A, M, T, 3]; probabilities: [A, M], the sum of each row 1"""
+    """A prediction.
+
+    poses: [A, M, T, 3]; probabilities: [A, M], which sum to 1, or to 0 in rows of nobody
+    """
 
     poses: Array
     probabilities: Array
@@ -45,9 +49,21 @@ Predictor = Callable[[PlannerView, NDArray[np.float32]], Futures]
 """A view, and `others` [A, 5, 8] of it."""
 
 
+def asked_futures(client: BaseClient, inputs: Mapping[str, Any]) -> Futures:
+    """Ask a bundle that predicts the others, by the inputs of its card.
+
+    Raises `AbsentError` if the bundle predicts nobody, and what `client.plan` raises.
+    """
+    answer = client.plan(
+        inputs=inputs, outputs=[FUTURES, FUTURE_PROBABILITIES], num_samples=1, seed=0
+    )
+    poses, probabilities = answer.futures, answer.future_probabilities
+    return Futures(poses.astype(np.float64), probabilities.astype(np.float64))
+
+
 def recorded_futures(window: Window) -> Array:
     """Return poses [A, T, 3] that were recorded of `others_seen`; NaN where nothing was."""
-    told = tracks_told(window.view)[:OTHERS]
+    told = tracks_told(window.view)
     frames = window.frame + np.rint(PLAN_TIMES / FRAME_S).astype(int)
     known = frames < window.log.track_state.shape[1]
     poses = np.full((OTHERS, len(frames), 3), np.nan)
@@ -147,9 +163,7 @@ def _arcs(others: NDArray[np.float32], *, acceleration: float) -> Array:
     curvature = np.where(drives, turned / TURN_S / np.maximum(speed, SLOWEST_TURN), 0.0)
     distance = _distances(speed, acceleration)
     turn = curvature[:, None] * distance
-    chord = distance * np.sinc(turn / 2 / np.pi)
-    local = np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], -1)
     frame = np.stack([now[:, X], now[:, Y], course], -1)
-    poses = out_of_frame(local, frame[:, None])
+    poses = out_of_frame(arc_ends(distance, turn), frame[:, None])
     poses[..., 2] = now[:, None, HEADING] + turn
     return poses

@@ -54,6 +54,13 @@ def ahead_of(poses: Array, distance: float | Array) -> Array:
     return moved
 
 
+def arc_ends(length: Array, turn: Array) -> Array:
+    """Poses [..., 3] after arcs of a length (m) and a turn (rad) from the origin along x."""
+    # Chord and direction of the arc; sinc holds where it is straight.
+    chord = length * np.sinc(turn / 2 / np.pi)
+    return np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], axis=-1)
+
+
 def arc_lengths(line: Array) -> Array:
     """Return the arc length [V] m at each point of a polyline [V, 2]."""
     return np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])

@@ -92,17 +92,20 @@ class LanePaths:
         lines.sort(key=lambda line: abs(wrap_angle(_heading(line[-2:]) - pose[2])))
         return [Way(line, float(along), left) for line in lines[:most]]
 
-    def _from(self, lane: int, reach: float) -> list[Array]:
-        """Return every polyline that begins with a lane and is `reach` m long, or ends before."""
-        line = self._lines[lane]
+    def _from(self, lane: int, reach: float, passed: frozenset[int] = frozenset()) -> list[Array]:
+        """Return every polyline that begins with a lane and is `reach` m long, or ends before.
+
+        passed: lanes that lead to this one; none is driven twice
+        """
+        line, passed = self._lines[lane], passed | {lane}
         left = reach - arc_lengths(line)[-1]
         if left <= 0 or not self._next[lane]:
             return [line]
         return [
             np.concatenate([line, more])
             for after in self._next[lane]
-            if after != lane
-            for more in self._from(after, left)
+            if after not in passed
+            for more in self._from(after, left, passed)
         ] or [line]
 
 

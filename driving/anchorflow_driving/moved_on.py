@@ -11,6 +11,7 @@ import numpy as np
 
 from anchorflow_driving.geometry import (
     Array,
+    arc_ends,
     at_places,
     into_frame,
     out_of_frame,
@@ -29,9 +30,7 @@ def to_come(view: PlannerView, seconds: float, meanwhile: Array | None) -> tuple
     times = np.asarray(FRAME_S * np.arange(round(seconds / FRAME_S) + 1), np.float64)
     speed = view.state.speed
     if meanwhile is None:
-        turn = speed * view.state.curvature * times
-        chord = speed * times * np.sinc(turn / 2 / np.pi)
-        poses = np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], -1)
+        poses = arc_ends(speed * times, speed * view.state.curvature * times)
         return poses, np.full(len(times), speed)
     known = meanwhile.copy()
     known[:, 3] = np.unwrap(known[:, 3])

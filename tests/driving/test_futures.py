@@ -7,9 +7,8 @@ import pytest
 from driven_bend import bend
 
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_client.sensors import others_before
+from anchorflow_client.sensors import KIND, others_before
 from anchorflow_driving.futures import (
-    KIND,
     RULES,
     Futures,
     judge_futures,
@@ -80,6 +79,8 @@ def test_ways_fork_where_lanes_do_and_the_straight_one_comes_first() -> None:
     assert len(lanes.ahead(np.array([5.0, 3.2, np.pi]), most=3)) == 1
     assert not lanes.ahead(np.array([5.0, -3.0, 0.0]), most=3)
     assert not LanePaths([]).ahead(np.zeros(3), most=3)
+    short = [np.array([[0.1 * k, 0.0], [0.1 * k + 0.1, 0.0]]) for k in range(3)]
+    assert LanePaths(short).ahead(np.zeros(3), most=3)  # each begins near the end of each
 
 
 def test_who_brakes_stands_and_does_not_reverse(window: Window) -> None:
@@ -97,6 +98,7 @@ def test_who_brakes_stands_and_does_not_reverse(window: Window) -> None:
     [
         ("states", np.zeros((2, 4, 5)), np.ones((2, 2)), [1, 1]),
         ("size", np.zeros((2, 5, 5)), np.ones((3, 2)), [1, 1]),
+        ("size", np.zeros((2, 5, 5)), np.array([[1, 1], [1, np.nan]]), [1, 1]),
         ("kind", np.zeros((2, 5, 5)), np.ones((2, 2)), [1, 4]),
     ],
 )
@@ -113,7 +115,8 @@ def test_the_nearest_are_told_first_and_who_is_gone_not_at_all() -> None:
     states[:, :, 0] = 100.0 - np.arange(60)[:, None]
     states[59, -1] = np.nan
     states[58, :2] = np.nan
+    states[55, -1, 3] = np.nan  # a place without a velocity: not told
     others = others_before(states, np.ones((60, 2)), np.full(60, 2))
-    assert others[:3, -1, 0].tolist() == [42.0, 43.0, 44.0]
+    assert others[:4, -1, 0].tolist() == [42.0, 43.0, 44.0, 46.0]
     assert others[0, :, KIND].tolist() == [0, 0, 2, 2, 2]
     assert len(others) == 48

@@ -10,7 +10,8 @@ import pytest
 import torch
 from driven_bend import bend
 
-from anchorflow_client.errors import AbsentError
+from anchorflow_client.errors import AbsentError, InvalidRequest
+from anchorflow_client.sensors import KIND
 from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.sensors.others import others_seen
@@ -58,6 +59,11 @@ def test_an_answer_has_futures_if_it_is_asked_for_them(added: Path) -> None:
         answer = client.plan(inputs=told, num_samples=8, seed=0, outputs=OUTPUTS)
         alone = client.plan(inputs=inputs, num_samples=8, seed=0, outputs=OUTPUTS)
         plain = client.plan(inputs=inputs, num_samples=8, seed=0)
+        unknown = told["others"].copy()
+        unknown[0, -1, KIND] = 4
+        with pytest.raises(InvalidRequest, match="kinds 0, 1, 2 or 3") as refused:
+            client.plan(inputs={**told, "others": unknown}, seed=0, outputs=OUTPUTS)
+    assert refused.value.field == "inputs.others"
     assert answer.futures.shape == (48, 6, 8, 3)
     np.testing.assert_allclose(answer.future_probabilities.sum(-1), [1.0] + [0.0] * 47, atol=1e-6)
     with torch.no_grad():

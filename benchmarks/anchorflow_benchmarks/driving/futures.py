@@ -18,13 +18,14 @@ from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.planners import bundle_names
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_client.contract import ModelCard
-from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
+from anchorflow_client.contract.batch import FUTURES
 from anchorflow_driving.futures import (
     MISSED_M,
     MOVING_M,
     RULES,
     Futures,
     Predictor,
+    asked_futures,
     judge_futures,
     recorded_futures,
 )
@@ -55,11 +56,7 @@ def bundle_predictor(client: LocalClient, card: ModelCard) -> Predictor:
         raise BenchmarkError(f"{card.name}: expected the extra {FUTURES} on its card, got none")
 
     def predict(view: PlannerView, _: NDArray[np.float32]) -> Futures:
-        inputs = draw_inputs(view, card.inputs)
-        outputs = [FUTURES, FUTURE_PROBABILITIES]
-        answer = client.plan(inputs=inputs, outputs=outputs, num_samples=1, seed=0)
-        doubles = (np.asarray(answer.arrays[name], np.float64) for name in outputs)
-        return Futures(*doubles)
+        return asked_futures(client, draw_inputs(view, card.inputs))
 
     return predict
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from anchorflow_client.sensors import OTHERS_TIMES_S, others_before
+from anchorflow_client.sensors import OTHERS, OTHERS_TIMES_S, others_before
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.log import FRAME_S, STATIC
 from anchorflow_driving.sensors.bev import BEV
@@ -16,8 +16,8 @@ FRAMES_BEFORE = -1 + np.rint(np.array(OTHERS_TIMES_S) / FRAME_S).astype(int)
 
 
 def tracks_told(view: PlannerView) -> NDArray[np.int_]:
-    """Return the tracks [K] of those that the raster shows now, the nearest first; none is the ego
-    or a static object.
+    """Return the tracks [K] of those that the raster shows now, the nearest OTHERS of them first;
+    none is the ego or a static object.
     """
     now = view.tracks[:, -1]
     low_x, high_x, low_y, high_y = BEV.extent
@@ -27,7 +27,7 @@ def tracks_told(view: PlannerView) -> NDArray[np.int_]:
     inside &= view.track_type != STATIC
     inside[view.ego] = False
     found = np.flatnonzero(inside)
-    return found[np.argsort(np.hypot(*now[found, :2].T), kind="stable")]
+    return found[np.argsort(np.hypot(*now[found, :2].T), kind="stable")][:OTHERS]
 
 
 def others_seen(view: PlannerView) -> NDArray[np.float32]:

@@ -10,11 +10,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from anchorflow_client.sensors import HEADING, KIND, KINDS, LENGTH, VX, VY, WIDTH, X, Y
 from anchorflow_models.futures.config import FuturesConfig
 from anchorflow_models.goalflow.networks import at_places
 
-X, Y, HEADING, VX, VY, LENGTH, WIDTH, KIND = range(8)
-KINDS = 3
 STATE = 6
 """Numbers of somebody in a frame: place, cosine and sine of the heading, velocity."""
 DRIVABLE, LANES, CROSSWALKS = 0, slice(1, 5), 5
@@ -23,9 +22,6 @@ AHEAD, ASIDE = (-6.0, 42.0, 17), (-10.5, 10.5, 8)
 """Least, greatest (m) and number of the places around somebody at which the raster is read."""
 MAP_FEATURES = 5
 PLACE_UNIT, SPEED_UNIT = 10.0, 10.0  # m, m/s
-FAR = 1e4
-NOBODY = -1e4
-"""A logit."""
 
 
 class FuturesNetwork(nn.Module):
@@ -41,7 +37,7 @@ class FuturesNetwork(nn.Module):
         self.config = config
         width, channels = config.width, config.map_channels
         self.register_buffer("around", _grid(), persistent=False)
-        self.history = _mlp(config.times * (STATE + 1) + 2 + KINDS, width, width)
+        self.history = _mlp(config.times * (STATE + 1) + 2 + len(KINDS), width, width)
         self.lanes = nn.Sequential(
             nn.Conv2d(MAP_FEATURES, channels, 3, padding=1),
             nn.SiLU(),
@@ -50,7 +46,7 @@ class FuturesNetwork(nn.Module):
             nn.Flatten(),
             nn.Linear(2 * channels * (AHEAD[2] // 2 + 1) * (ASIDE[2] // 2), width),
         )
-        self.near = _mlp(STATE + 2 + 2 + KINDS + 1, width // 2, width // 2)
+        self.near = _mlp(STATE + 2 + 2 + len(KINDS) + 1, width // 2, width // 2)
         self.mix = nn.Sequential(
             nn.Linear(2 * width + width // 2, width), nn.SiLU(), nn.Linear(width, width)
         )
@@ -71,7 +67,9 @@ class FuturesNetwork(nn.Module):
         now = others[:, :, -1]
         there = now[..., KIND] > 0
         frame = now[..., : HEADING + 1]
-        kind = F.one_hot((now[..., KIND].long() - 1).clamp(0, KINDS - 1), KINDS).to(others.dtype)
+        kind = F.one_hot((now[..., KIND].long() - 1).clamp(0, len(KINDS) - 1), len(KINDS)).to(
+            others.dtype
+        )
         size = now[..., LENGTH : WIDTH + 1] / PLACE_UNIT
         history = self._history(others, frame)
         seen = torch.cat(

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from anchorflow_client.contract.batch import FUTURES
+from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.sensors import KIND, KINDS
 from anchorflow_service.bundle.manifest import OTHERS, Manifest
 from anchorflow_service.engine.interfaces import Arrays, ConditionedScene, Graphs
 
@@ -19,12 +21,15 @@ class OthersFutures:
     def predict(self, scene: ConditionedScene) -> Arrays:
         """Return the graph's outputs [A, …] of a scene, if its request names one of them.
 
-        Rows after the last of the others are not computed, but zeros.
+        Rows after the last of the others are not computed, but zeros. Raises `InvalidRequest` if
+        somebody is of an unknown kind.
         """
         if not {*self.names} & {*scene.request.outputs}:
             return {}
         inputs = scene.inputs(self._graph.input_names)
         others = inputs[OTHERS]
+        if not np.isin(others[..., KIND], (0, *KINDS)).all():
+            raise InvalidRequest("expected kinds 0, 1, 2 or 3", f"inputs.{OTHERS}")
         told = np.flatnonzero(others[0].any((1, 2)))
         count = int(told[-1]) + 1 if len(told) else 1
         given = self._graphs.run(FUTURES, {**inputs, OTHERS: others[:, :count]})
