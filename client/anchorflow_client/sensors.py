@@ -48,13 +48,13 @@ LIDAR_BEFORE_S = 0.5
 ROUTE_POINTS, ROUTE_SPACING_M = 40, 2.0
 """Points of a planner's route, and their distance."""
 OTHERS = 48
-"""The most of whom a planner is told."""
+"""The most other road users of a request."""
 OTHERS_TIMES_S = (-2.0, -1.5, -1.0, -0.5, 0.0)
-"""s from now, for which it is told where they were."""
+"""Times of their states in s from now."""
 X, Y, HEADING, VX, VY, LENGTH, WIDTH, KIND = range(8)
-"""The numbers that it is told of somebody at one of these times."""
+"""The numbers of a state."""
 KINDS = (1, 2, 3)
-"""Vehicle, person, cyclist; 0 is nobody."""
+"""Vehicle, person, cyclist; 0 in unused rows."""
 SAME_POINT = 1e-6  # m; nearer points of a polyline are one
 
 
@@ -290,15 +290,15 @@ def _cubic(x: NDArray[Any]) -> NDArray[Any]:
 
 
 def others_before(states: ArrayLike, size: ArrayLike, kind: ArrayLike) -> Floats:
-    """Return what a planner that predicts others is told of them: [48, 5, 8], the nearest first.
+    """Return the input `others` [48, 5, 8] of a planner that predicts them, the nearest first.
 
-    Each number is told for OTHERS_TIMES_S: x, y (m), heading (rad), velocity x, y (m/s), length,
-    width (m) of the box, and its kind: 1 vehicle, 2 person, 3 cyclist, 0 nobody. Whoever is not
-    there now is left out; of more than 48 the nearest are told.
+    A row has, for each of OTHERS_TIMES_S, x, y (m), heading (rad), velocity x, y (m/s), length,
+    width (m) of the box, and its kind: 1 vehicle, 2 person, 3 cyclist, 0 not there. Tracks without
+    a state now are left out; of more than 48 the nearest are kept.
 
     Args:
         states: [K, 5, 5] x, y, heading, velocity x, y of the boxes' middles at OTHERS_TIMES_S; NaN
-            where somebody was not there.
+            at times at which one was not there.
         size: [K, 2] length, width, above 0.
         kind: [K], 1 to 3.
 

@@ -1,4 +1,4 @@
-"""The raster with the others where they are predicted to be, instead of at constant velocity.
+"""Draw the raster with the others at their predicted places instead of at constant velocity.
 
 inputs["bev"] = foreseen_bev(view, asked_futures(client, inputs))
 """
@@ -12,7 +12,7 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.futures import Futures
 from anchorflow_driving.geometry import Array, into_frame
 from anchorflow_driving.sensors.bev import BEV, FULL, BevGrid, Bytes, draw_bev, draw_boxes, later
-from anchorflow_driving.sensors.others import tracks_told
+from anchorflow_driving.sensors.others import tracks_seen
 from anchorflow_driving.window import PlannerView
 
 LONG_M = 7.0
@@ -26,23 +26,23 @@ def foreseen_bev(view: PlannerView, futures: Futures, grid: BevGrid = BEV) -> By
     futures: of `others_seen`; beyond their last pose the others keep its velocity. Static objects
     are drawn as ever.
     """
-    told = tracks_told(view)
+    seen = tracks_seen(view)
     drawn = draw_bev(view, grid)
     first = grid.channels.index(f"occupied_{grid.ahead_s[0]:.1f}s")
-    rest = _not_told(view, told, grid)
-    poses = _continued(futures.poses[: len(told)], grid)
-    weights = np.repeat(futures.probabilities[: len(told), :, None], len(grid.ahead_s), 2)
-    sizes = view.track_size[told][:, None, None].repeat(poses.shape[1], 1).repeat(poses.shape[2], 2)
+    rest = _not_predicted(view, seen, grid)
+    poses = _continued(futures.poses[: len(seen)], grid)
+    weights = np.repeat(futures.probabilities[: len(seen), :, None], len(grid.ahead_s), 2)
+    sizes = view.track_size[seen][:, None, None].repeat(poses.shape[1], 1).repeat(poses.shape[2], 2)
     layers = np.tile(np.arange(len(grid.ahead_s)), (*poses.shape[:2], 1))
     covered = _covered(poses, sizes, weights, layers, grid)
     drawn[first:] = np.rint(np.minimum(np.maximum(rest, FULL * covered), FULL)).astype(np.uint8)
     return drawn
 
 
-def _not_told(view: PlannerView, told: NDArray[np.int_], grid: BevGrid) -> Bytes:
-    """Return the channels [L, H, W] of those whom no prediction is for, at constant velocity."""
+def _not_predicted(view: PlannerView, seen: NDArray[np.int_], grid: BevGrid) -> Bytes:
+    """Return the channels [L, H, W] of all that are not predicted, at constant velocity."""
     now = np.array(view.tracks[:, -1])
-    now[[view.ego, *told]] = np.nan
+    now[[view.ego, *seen]] = np.nan
     return np.stack([draw_boxes(later(now, s), view.track_size, grid) for s in grid.ahead_s])
 
 

@@ -1,6 +1,6 @@
-"""Where the others will be: what was recorded, rules that predict it, and how they are judged.
+"""Futures of the other road users: the recorded ones, rules that predict them, and their judge.
 
-A prediction has M modes for each of the A others that a planner is told of: poses [A, M, T, 3] of
+A prediction has M modes for each of the A road users of `others_seen`: poses [A, M, T, 3] of
 the boxes' middles at PLAN_TIMES, in the frame of the ego's rear axle now, and probabilities [A, M].
 """
 
@@ -20,15 +20,15 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import Array, arc_ends, into_frame, out_of_frame, wrap_angle
 from anchorflow_driving.lane_paths import LanePaths
 from anchorflow_driving.log import FRAME_S, PEDESTRIAN
-from anchorflow_driving.sensors.others import tracks_told
+from anchorflow_driving.sensors.others import tracks_seen
 from anchorflow_driving.window import PlannerView, Window
 
 MISSED_M = 2.0
-"""At the end, beyond which all modes count as a miss."""
+"""Distance at the end beyond which a mode misses."""
 MOVING_M = 2.0
-"""In 4 s, from which on somebody counts as moving."""
+"""Distance in 4 s from which a road user counts as moving."""
 TURN_S = 0.5
-"""Over which a turn rate is measured."""
+"""Time over which a turn rate is measured."""
 PACES = (0.0, -1.5, 1.0)
 """m/s² that the modes of a rule speed up by."""
 SLOWEST_TURN = 1.0  # m/s; below it a turn rate is noise
@@ -38,7 +38,7 @@ SLOWEST_TURN = 1.0  # m/s; below it a turn rate is noise
 class Futures:
     """A prediction.
 
-    poses: [A, M, T, 3]; probabilities: [A, M], which sum to 1, or to 0 in rows of nobody
+    poses: [A, M, T, 3]; probabilities: [A, M], which sum to 1, or to 0 in unused rows
     """
 
     poses: Array
@@ -52,7 +52,7 @@ Predictor = Callable[[PlannerView, NDArray[np.float32]], Futures]
 def asked_futures(client: BaseClient, inputs: Mapping[str, Any]) -> Futures:
     """Ask a bundle that predicts the others, by the inputs of its card.
 
-    Raises `AbsentError` if the bundle predicts nobody, and what `client.plan` raises.
+    Raises `AbsentError` if the bundle gives no futures, and what `client.plan` raises.
     """
     answer = client.plan(
         inputs=inputs, outputs=[FUTURES, FUTURE_PROBABILITIES], num_samples=1, seed=0
@@ -63,17 +63,17 @@ def asked_futures(client: BaseClient, inputs: Mapping[str, Any]) -> Futures:
 
 def recorded_futures(window: Window) -> Array:
     """Return poses [A, T, 3] that were recorded of `others_seen`; NaN where nothing was."""
-    told = tracks_told(window.view)
+    seen = tracks_seen(window.view)
     frames = window.frame + np.rint(PLAN_TIMES / FRAME_S).astype(int)
     known = frames < window.log.track_state.shape[1]
     poses = np.full((OTHERS, len(frames), 3), np.nan)
-    recorded = window.log.track_state[told][:, frames[known], :3].astype(np.float64)
-    poses[: len(told), known] = into_frame(recorded, window.state.pose)
+    recorded = window.log.track_state[seen][:, frames[known], :3].astype(np.float64)
+    poses[: len(seen), known] = into_frame(recorded, window.state.pose)
     return poses
 
 
 def constant_velocity_of(_: PlannerView, others: NDArray[np.float32]) -> Futures:
-    """Predict one mode: everybody keeps velocity and heading."""
+    """Predict one mode: all keep velocity and heading."""
     now = others[:, -1].astype(np.float64)
     ways = np.repeat(now[:, None, :3], len(PLAN_TIMES), 1)
     ways[..., :2] += PLAN_TIMES[:, None] * now[:, None, VX : VY + 1]
@@ -115,7 +115,7 @@ RULES: dict[str, Predictor] = {
 def judge_futures(
     futures: Futures, recorded: Array, others: NDArray[np.float32]
 ) -> dict[str, NDArray[Any]]:
-    """Return figures [K] of those who were recorded to the end.
+    """Return figures [K] of the road users that were recorded to the end.
 
     minADE, minFDE: m, of the mode with the smallest; miss: whether the latter is over MISSED_M;
     ADE: m, of the likeliest mode; moves: whether they moved MOVING_M; kind: as in `others`
@@ -144,7 +144,7 @@ def _of_modes(poses: Array) -> Futures:
 
 
 def _distances(speed: Array | float, acceleration: float) -> Array:
-    """Return metres [..., T] at PLAN_TIMES from speeds [...]; who brakes to a halt stays there."""
+    """Return metres [..., T] at PLAN_TIMES from speeds [...]; after braking to a halt it stays."""
     speed = np.asarray(speed)[..., None]
     time = PLAN_TIMES if acceleration >= 0 else np.minimum(PLAN_TIMES, speed / -acceleration)
     return speed * time + acceleration / 2 * time**2 * (speed > 0)

@@ -1,4 +1,4 @@
-"""Ways along the lanes from a pose, for rules that predict where somebody drives."""
+"""Ways along the lanes from a pose, for rules that predict vehicles."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from anchorflow_driving.geometry import Array, arc_lengths, at_places, wrap_angle
 
 JOINED_M = 1.0
-"""From a lane's end to the start of one that follows it."""
+"""Greatest distance from a lane's end to the start of the next."""
 BESIDE_M, ASKEW = 2.5, np.pi / 4
 """Farthest from a lane that is followed, and the greatest angle to it."""
 REACH_M = 80.0
 """Length of a way."""
 RETURN_M = 30.0
-"""Over which an offset from the lane fades."""
+"""Distance over which an offset from the lane fades."""
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """A polyline [V, 2], how far along it somebody is, and how far to its left, m."""
+    """A polyline [V, 2], and a vehicle's place along it and to its left, m."""
 
     line: Array
     along: float
@@ -44,7 +44,7 @@ class Way:
 
 
 class LanePaths:
-    """The lanes of a map as a graph: who follows whom.
+    """The lanes of a map and their successors.
 
     lines: centrelines [V, 2] in their direction
     """
@@ -68,8 +68,8 @@ class LanePaths:
         self._first = np.concatenate([[0], np.cumsum(counts)]).astype(int)
 
     def ahead(self, pose: Array, *, most: int) -> list[Way]:
-        """Return ways of somebody at a pose [3] along the nearest lane that leads their way, those
-        with the least turn first; none if there is no such lane.
+        """Return ways from a pose [3] along the nearest lane in its direction, those with the least
+        turn first; none if there is no lane near.
         """
         if not len(self._points):
             return []

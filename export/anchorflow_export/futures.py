@@ -31,7 +31,7 @@ SCENES = 3
 
 
 def others_spec(config: FuturesConfig) -> TensorSpec:
-    """Return the spec of the input that tells of the others."""
+    """Return the spec of the input `others`."""
     shape = ("B", config.others, config.times, 8)
     return TensorSpec(OTHERS, "float32", shape, OTHERS_UNIT, (-FARTHEST, FARTHEST), optional=True)
 
@@ -116,7 +116,7 @@ def _inputs(bundle: Bundle, config: FuturesConfig) -> tuple[TensorSpec, ...]:
 def _proved(
     role: Role, bundle: Bundle, inputs: tuple[TensorSpec, ...], *, tolerance: float
 ) -> tuple[Difference, ...]:
-    """Compare the graph with torch on random scenes; some of the others are nobody."""
+    """Compare the graph with torch on random scenes, in which some rows are unused."""
     arrays = {spec.name: random_tensor(spec, {"B": SCENES}).numpy() for spec in inputs}
     rng, shape = np.random.default_rng(0), arrays[OTHERS].shape
     others = rng.uniform(-1, 1, shape) * [30.0, 30.0, 3.0, 9.0, 9.0, 0, 0, 0]

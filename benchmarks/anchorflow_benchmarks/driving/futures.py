@@ -1,6 +1,6 @@
-"""Judge predictions of where the others will be, on recorded logs, beside rules.
+"""Judge predictions of the other road users on recorded logs, beside rules.
 
-`anchorflow bench futures` prints a table of everybody, and of those who move by kind.
+`anchorflow bench futures` prints a table of all, and of the moving ones by kind.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ NOTE = (
 
 
 def bundle_predictor(client: LocalClient, card: ModelCard) -> Predictor:
-    """Return what a bundle predicts. Raises `BenchmarkError` if it predicts nothing."""
+    """Return the predictor of a bundle. Raises `BenchmarkError` if its card has no futures."""
     if FUTURES not in {spec.name for spec in card.answer.extras}:
         raise BenchmarkError(f"{card.name}: expected the extra {FUTURES} on its card, got none")
 
@@ -67,7 +67,7 @@ def judge_predictors(
     *,
     advance: Callable[[int], None] = lambda _: None,
 ) -> dict[str, dict[str, Array]]:
-    """Return the figures [K] of each predictor, for everybody in every window, and ms."""
+    """Return the figures [K] of each predictor over all road users in all windows, and ms."""
     rows: dict[str, list[dict[str, Array]]] = {name: [] for name in predictors}
     for log in logs:
         for window in Scenes(log):
@@ -87,7 +87,7 @@ def judge_predictors(
 
 
 def futures_tables(judged: Mapping[str, Mapping[str, Array]]) -> list[ResultTable]:
-    """Return tables of everybody, of those who move, and of these by kind."""
+    """Return tables of all, of the moving ones, and of these by kind."""
     moves, kind = judged[BASELINE]["moves"], judged[BASELINE]["kind"]
     groups = {"Everybody": np.ones_like(moves), f"Moving {MOVING_M:g} m": moves}
     groups |= {f"Moving {name}": moves & (kind == 1 + each) for name, each in KINDS.items()}
@@ -127,7 +127,7 @@ def futures(
     threads: options.Threads = None,
     out: options.Out = options.RESULTS,
 ) -> None:
-    """Score what rules and bundles predict of everybody else on recorded logs."""
+    """Score predictions of the other road users, by rules and bundles, on recorded logs."""
     found = read_logs(logs)
     predictors = open_predictors(bundle or [], threads=threads)
     windows = sum(log.windows for log in found)

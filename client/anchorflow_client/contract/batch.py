@@ -39,7 +39,7 @@ WITHIN = Interval(0.0, math.inf, "m", open_high=True)
 """Allowed distances of an anchor's end from a route."""
 COUNT = Interval(1, 2**31)
 FUTURES, FUTURE_PROBABILITIES = "futures", "future_probabilities"
-"""The extras of a planner that predicts the others."""
+"""The extras of a planner that predicts the other road users."""
 MIN_MOVE = 1.0
 """m; an anchor that moves less than this from its start counts as standing."""
 NEAR = 128.0
@@ -176,7 +176,7 @@ class AnchorBatch:
 
     @property
     def future_probabilities(self) -> NDArray[np.float32]:
-        """[A,M], of the modes of each of the others; zeros in the rows of nobody."""
+        """[A,M], of the modes of each of the others; zeros in unused rows."""
         return self._given(FUTURE_PROBABILITIES)
 
     @property

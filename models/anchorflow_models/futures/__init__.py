@@ -1,4 +1,4 @@
-"""Where the others will be: a small network beside a planner, on the same raster."""
+"""A small network that predicts the other road users, on the raster of a planner."""
 
 from anchorflow_models.futures.config import FuturesConfig as FuturesConfig
 from anchorflow_models.futures.network import FuturesNetwork as FuturesNetwork

@@ -12,11 +12,11 @@ LEAST = {"modes": 1, "num_steps": 1, "width": 8, "map_channels": 4, "others": 1,
 
 @dataclass(frozen=True)
 class FuturesConfig:
-    """Everything that fixes the network's shape and its units.
+    """The network's shape and units.
 
-    modes: M of each of the others
+    modes: M of each road user
     num_steps: T; dt: s between two poses, the first dt from now
-    others: A, the most that a request tells of; times: at which it tells of each
+    others: A, the most road users of a request; times: H of each
     width: of the hidden layers; map_channels: of the first convolution over the lanes around
     """
 

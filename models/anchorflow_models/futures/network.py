@@ -1,7 +1,7 @@
-"""Predicts poses of everybody else in several modes, each in the frame of whom it predicts.
+"""Predict the poses of every other road user in several modes.
 
-In that frame it sees what somebody did, the lanes around them, and everybody near. Nothing depends
-on where the ego stands, and no answer on the order of the others.
+Each is predicted in its own frame, from its past, the lanes around it and the road users near it.
+Predictions depend neither on the ego's place nor on the order of the others.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from anchorflow_models.futures.config import FuturesConfig
 from anchorflow_models.goalflow.networks import at_places
 
 STATE = 6
-"""Numbers of somebody in a frame: place, cosine and sine of the heading, velocity."""
+"""Numbers of a state in a frame: place, cosine and sine of the heading, velocity."""
 DRIVABLE, LANES, CROSSWALKS = 0, slice(1, 5), 5
 """Channels of the raster; lanes point ahead, left, back and right."""
 AHEAD, ASIDE = (-6.0, 42.0, 17), (-10.5, 10.5, 8)
-"""Least, greatest (m) and number of the places around somebody at which the raster is read."""
+"""Least, greatest (m) and number of the places around a road user at which it reads the raster."""
 MAP_FEATURES = 5
 PLACE_UNIT, SPEED_UNIT = 10.0, 10.0  # m, m/s
 
@@ -27,7 +27,7 @@ PLACE_UNIT, SPEED_UNIT = 10.0, 10.0  # m, m/s
 class FuturesNetwork(nn.Module):
     """The network.
 
-    around: [P, 2] m, the places at which it reads the raster, in the frame of somebody
+    around: [P, 2] m, the places at which it reads the raster, in the frame of a road user
     """
 
     around: Tensor
@@ -86,8 +86,8 @@ class FuturesNetwork(nn.Module):
         return self._poses(steps, now), ways[..., -1]
 
     def futures(self, others: Tensor, bev: Tensor, ego_status: Tensor) -> dict[str, Tensor]:
-        """Return futures [B, A, M, T, 3] and future_probabilities [B, A, M], those that are likely
-        first; zeros of nobody.
+        """Return futures [B, A, M, T, 3] and future_probabilities [B, A, M], the likeliest mode
+        first; zeros in unused rows.
         """
         poses, logits = self(others, bev, ego_status)
         order = logits.argsort(-1, descending=True)
@@ -99,7 +99,7 @@ class FuturesNetwork(nn.Module):
         }
 
     def _history(self, others: Tensor, frame: Tensor) -> Tensor:
-        """Return what each did [B, A, H (STATE + 1)] in its own frame; zeros: not there."""
+        """Return the past [B, A, H (STATE + 1)] of each in its own frame; zeros while absent."""
         there = (others[..., KIND:] > 0).to(others.dtype)
         states = _seen_from(frame[:, :, None], others[..., : VY + 1])
         return (torch.cat([states, there], -1) * there).flatten(2)
@@ -124,19 +124,19 @@ class FuturesNetwork(nn.Module):
         return self.lanes(grid).unflatten(0, frame.shape[:2])
 
     def _near(self, now: Tensor, there: Tensor, kind: Tensor, ego_status: Tensor) -> Tensor:
-        """Return features [B, A, W / 2] of everybody else near each, the ego among them."""
+        """Return features [B, A, W / 2] of the road users near each, the ego among them."""
         ego = torch.zeros_like(now[:, :1])
         ego = torch.cat([ego[..., :VX], ego_status[:, None, 4:6], ego[..., LENGTH:]], -1)
         all_ = torch.cat([now, ego], 1)
         is_ego = F.pad(torch.zeros_like(there, dtype=now.dtype), (0, 1), value=1.0)[..., None]
         size = all_[..., LENGTH : WIDTH + 1] / PLACE_UNIT
-        told = torch.cat([size, F.pad(kind, (0, 0, 0, 1)), is_ego], -1)
+        boxes = torch.cat([size, F.pad(kind, (0, 0, 0, 1)), is_ego], -1)
         states = _seen_from(now[:, :, None, : HEADING + 1], all_[:, None, :, : VY + 1])
         away = states[..., :2].square().sum(-1, keepdim=True)
         own = _turned(now[..., VX : VY + 1], now[..., HEADING])[:, :, None] / SPEED_UNIT
         pairs = [states, own.expand(-1, -1, states.shape[2], -1)]
-        told = told[:, None].expand(-1, states.shape[1], -1, -1)
-        hidden = self.near(torch.cat([*pairs, told], -1)) / (1 + away)
+        boxes = boxes[:, None].expand(-1, states.shape[1], -1, -1)
+        hidden = self.near(torch.cat([*pairs, boxes], -1)) / (1 + away)
         count = now.shape[1]
         others = torch.cat([there, torch.ones_like(there[:, :1])], 1)[:, None]
         itself = torch.eye(count, count + 1, dtype=torch.bool, device=now.device)

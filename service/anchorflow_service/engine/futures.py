@@ -1,4 +1,4 @@
-"""Where the others will be: a graph beside the planner's, for requests that ask for it."""
+"""Predictions of the other road users, by a graph beside the planner's."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class OthersFutures:
     def predict(self, scene: ConditionedScene) -> Arrays:
         """Return the graph's outputs [A, …] of a scene, if its request names one of them.
 
-        Rows after the last of the others are not computed, but zeros. Raises `InvalidRequest` if
-        somebody is of an unknown kind.
+        Rows after the last of the others are not computed, but zeros. Raises `InvalidRequest` if a
+        kind is unknown.
         """
         if not {*self.names} & {*scene.request.outputs}:
             return {}
@@ -30,8 +30,8 @@ class OthersFutures:
         others = inputs[OTHERS]
         if not np.isin(others[..., KIND], (0, *KINDS)).all():
             raise InvalidRequest("expected kinds 0, 1, 2 or 3", f"inputs.{OTHERS}")
-        told = np.flatnonzero(others[0].any((1, 2)))
-        count = int(told[-1]) + 1 if len(told) else 1
+        used = np.flatnonzero(others[0].any((1, 2)))
+        count = int(used[-1]) + 1 if len(used) else 1
         given = self._graphs.run(FUTURES, {**inputs, OTHERS: others[:, :count]})
         left = others.shape[1] - count
         return {

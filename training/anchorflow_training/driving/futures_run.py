@@ -32,15 +32,15 @@ from anchorflow_training.record import Row
 from anchorflow_training.settings import other_default, setting
 
 KEPT = ".futures-1"
-"""Suffix of the file beside a log that holds who is told of and what became of them."""
+"""Suffix of the file beside a log that holds the others of its windows and their futures."""
 SPREAD = np.array([0.08, 0.08, 0.02, 0.15, 0.15, 0.05, 0.03, 0.0], np.float32)
-"""Of the noise on what is told of somebody, in its units; a recording is no simulation."""
+"""Standard deviations of the noise on `others`, in its units; a recording is no simulation."""
 SIGNS = np.array([1, -1, -1, 1, -1, 1, 1, 1], np.float32)
 
 
 @dataclass(frozen=True)
 class FuturesObjectiveConfig:
-    """The weights of the loss of the nearest mode, and of the probabilities."""
+    """Weights of the loss, and how much the inputs are disturbed."""
 
     all_modes: float = setting(
         0.03, "Share of the loss that all modes have, beside the nearest.", ge=0, le=1
@@ -48,7 +48,7 @@ class FuturesObjectiveConfig:
     heading: float = setting(1.0, "Of a radian, beside a metre.", ge=0)
     likely: float = setting(0.5, "Of the probabilities.", ge=0)
     standing: float = setting(0.2, "Of those who do not move, beside those who do.", ge=0)
-    noise: float = setting(1.0, "On what is told of the others; 0: none.", ge=0)
+    noise: float = setting(1.0, "Of the noise on the others' pasts; 0: none.", ge=0)
     shortened: float = setting(0.2, "Share of the others whose past is cut short.", ge=0, le=1)
 
 
@@ -67,7 +67,7 @@ class FuturesRunConfig(RunConfig):
 
 
 class FuturesObjective(nn.Module):
-    """Loss and its terms on a batch: the nearest of the modes learns, and which that is."""
+    """The loss on a batch: the nearest mode learns poses, the probabilities which mode it was."""
 
     def __init__(self, model: FuturesNetwork, config: FuturesObjectiveConfig) -> None:
         super().__init__()
@@ -78,7 +78,10 @@ class FuturesObjective(nn.Module):
         return ()
 
     def forward(self, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """others, bev, ego_status: as the network; futures: [B, A, T, 3], NaN: not recorded."""
+        """Return the loss and its terms.
+
+        others, bev, ego_status: as the network; futures: [B, A, T, 3], NaN: not recorded
+        """
         config, truth = self.config, batch["futures"]
         poses, logits = self.model(batch["others"], batch["bev"], batch["ego_status"])
         known = truth.isfinite().all(-1)
@@ -101,18 +104,18 @@ class FuturesObjective(nn.Module):
 
 
 class FuturesRun(DrivingRun):
-    """Learns what became of everybody else."""
+    """Trains the network on the recorded futures of the others."""
 
     def __init__(self, config: FuturesRunConfig, windows: DrivingWindows, out: Path) -> None:
         super().__init__(config, windows, out, of=f"the windows of {windows.path}")
-        found = [*log_arrays(open_logs(windows.path), KEPT, _told)]
+        found = [*log_arrays(open_logs(windows.path), KEPT, _recorded)]
         self.others, self.futures = (
             np.concatenate([each[name] for each in found]) for name in ("others", "futures")
         )
 
     @staticmethod
     def model_settings(data: DrivingWindows) -> Mapping[str, Any]:
-        """Return the raster and times of the windows, and who is told of."""
+        """Return the raster and times of the windows, and the shape of `others`."""
         settings = {"num_steps": len(PLAN_TIMES), "others": OTHERS, "times": len(OTHERS_TIMES_S)}
         return {**GoalFlowRun.model_settings(data), **settings}
 
@@ -141,12 +144,12 @@ class FuturesRun(DrivingRun):
         }
 
     def _disturb(self, others: NDArray[np.float32], rng: np.random.Generator) -> None:
-        """Add noise to what is told [B, A, H, 8], and forget the first of some pasts, in place."""
+        """Add noise to `others` [B, A, H, 8] and cut some pasts short, in place."""
         config, there = self.config.objective, others[..., KIND:] > 0
         noise = rng.standard_normal(others.shape, np.float32) * SPREAD * config.noise
         noise[..., 5:] = noise[..., -1:, 5:]  # a box keeps its size
         moves = np.hypot(others[..., 3], others[..., 4])[..., None] > 0
-        noise[..., :5] *= moves  # who stands is told to stand
+        noise[..., :5] *= moves  # a standing one keeps still
         others += noise * there
         times = others.shape[2]
         first = rng.integers(1, times, others.shape[:2]) * (
@@ -155,7 +158,7 @@ class FuturesRun(DrivingRun):
         others[np.arange(times) < first[..., None]] = 0.0
 
     def judged(self, model: FuturesNetwork, window: int) -> Row:
-        """Return the share of the moving others that some mode comes near, and minADE in m."""
+        """Return the share of the moving others that some mode ends near, and minADE in m."""
         bev = self.windows.rasters([window])
         arrays = (self.others[[window]], bev, self.windows.status[[window]])
         poses, _ = model(*(torch.from_numpy(each).to(self.fabric.device) for each in arrays))
@@ -173,7 +176,7 @@ class FuturesRun(DrivingRun):
         }
 
 
-def _told(log: Path) -> dict[str, NDArray[np.float32]]:
+def _recorded(log: Path) -> dict[str, NDArray[np.float32]]:
     """Return others [W, A, H, 8] and futures [W, A, T, 3] of a log's windows."""
     windows = [*Scenes(read_log(log))]
     others = [others_seen(window.view) for window in windows]
