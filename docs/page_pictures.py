@@ -26,12 +26,13 @@ ANSWERED = "/[1-9]\\d* .*anchor/.test(document.querySelector('#summary').textCon
 def main(url: str, folder: Path) -> None:
     """Write `FOLDER/BUNDLE-SCREEN-COLOUR.png` for every bundle that the page offers."""
     folder.mkdir(parents=True, exist_ok=True)
+    errors: list[str] = []
     with sync_playwright() as playwright:
         path = shutil.which("chromium") or shutil.which("google-chrome")
         browser = playwright.chromium.launch(executable_path=path, args=[*CHROMIUM])
         for (screen, options), colour in itertools.product(SCREENS.items(), COLOURS):
             page = browser.new_page(color_scheme=colour, bypass_csp=True, **options)
-            page.on("pageerror", fail)
+            page.on("pageerror", lambda error: errors.append(str(error)))
             page.goto(url)
             for name in bundles(page):
                 page.select_option("#bundle", name)
@@ -41,17 +42,14 @@ def main(url: str, folder: Path) -> None:
                 page.screenshot(path=to, full_page=screen == "phone")
                 sys.stdout.write(f"{to}: {page.inner_text('#summary')}\n")
             page.close()
+    if errors:
+        raise SystemExit(f"the page: {errors[0]}")
 
 
 def bundles(page: Page) -> list[str]:
     """Return the names of the bundles, once the first has answered."""
     page.wait_for_function(ANSWERED, timeout=60_000)
     return page.eval_on_selector_all("#bundle option", "each => each.map(o => o.value)")
-
-
-def fail(error: Exception) -> None:
-    """Stop at an error of the page's program."""
-    raise SystemExit(f"the page: {error}")
 
 
 if __name__ == "__main__":
