@@ -15,7 +15,14 @@ from command_line import succeed
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.crowds.contest import ROBOTS, drive
 from anchorflow_benchmarks.crowds.drivers import AnchorDriver, MppiDriver, StraightDriver
-from anchorflow_benchmarks.crowds.worlds import CONTACT, TICK_S, Array, World, read_recordings
+from anchorflow_benchmarks.crowds.worlds import (
+    CONTACT,
+    TICK_S,
+    Array,
+    Recording,
+    World,
+    read_recordings,
+)
 
 TICKS = 80
 ALONG = np.linspace(0.0, 8.0, TICKS + 1)[:, None] * [1.0, 0.0]  # m, from (0, 0) to (8, 0)
@@ -98,6 +105,15 @@ def test_cfm_mppi_passes_who_stands_in_the_way(
     trip = drive(standing, cfm_mppi.CfmMppiDriver(), robot=ROBOTS[0])
     assert (trip.contacts, trip.braked) == (0, 0.0)
     assert trip.short < 1.0
+
+
+def test_cfm_mppi_plans_no_further_than_its_field() -> None:
+    cfm_mppi = pytest.importorskip("anchorflow_benchmarks.crowds.cfm_mppi", exc_type=ImportError)
+    others = np.full((1, TICKS + 2, 2), 9.0)
+    world = Recording("long", seed=0, start=np.zeros(2), goal=np.ones(2), others=others)
+    world.begin()
+    with pytest.raises(BenchmarkError, match=r"at most 8 s, got 8\.1"):
+        cfm_mppi.CfmMppiDriver().step(world, np.zeros(6))
 
 
 @pytest.mark.parametrize("robot", ROBOTS)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from command_line import failure
 from driven_bend import bend
 
 from anchorflow_client.errors import AbsentError, InvalidRequest
@@ -86,6 +87,12 @@ def test_futures_may_be_added_again(added: Path, tmp_path: Path) -> None:
     assert second == first.model_copy(
         update={"training": {**first.training, "futures": {"steps": 4}}}
     )
+
+
+def test_a_command_refuses_what_the_bundle_has_already(added: Path) -> None:
+    words = ("export", BUNDLES.parents[2] / "checkpoints" / "futures.pt", "--out", added)
+    assert "like: expected none, as" in failure(*words, "--like", BUNDLES / "goalflow")
+    assert "name: expected none, as" in failure(*words, "--name", "other")
 
 
 def test_a_bundle_with_other_inputs_or_times_is_refused(tmp_path: Path) -> None:

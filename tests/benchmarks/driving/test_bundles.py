@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from driven_bend import bend
+from command_line import failure
+from driven_bend import bend, write_bends
 from image_planner import write_image_bundle
 
 from anchorflow_benchmarks import BenchmarkError
@@ -69,6 +70,12 @@ def test_a_driver_that_foresees_asks_again_with_the_others_where_they_will_be() 
     assert foreseen.scores is not None
     # The leader drives on along the bend, and not into the field beside it.
     assert np.abs(plain.scores - foreseen.scores).max() > 1e-4
+
+
+def test_foreseeing_without_a_bundle_that_predicts_is_refused(tmp_path: Path) -> None:
+    logs = ("--logs", write_bends(tmp_path, count=1), "--drivers", "stop")
+    said = failure("bench", "drive", *logs, "--foreseeing", "--out", tmp_path)
+    assert "--foreseeing: expected a --bundle whose card has futures" in said
 
 
 def test_other_seeds_draw_other_proposals() -> None:
