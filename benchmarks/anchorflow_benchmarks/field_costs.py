@@ -23,7 +23,7 @@ SEED = 1
 PEOPLE, PACE, RADIUS = 20, 1.0, 0.25  # how many, m/s and m
 AWAY = 1.0  # m from people to both ends
 RECTANGLE = [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.2], [-0.3, 0.2]]  # m
-WAVES = 1.5  # m from one soft patch to the next
+WAVES = 3  # soft patches across a map, and as many between them
 BITS = 24
 AS_IT_IS = "occupancy alone"
 
@@ -113,7 +113,8 @@ def _seen(scene: Scene, rng: np.random.Generator) -> dict[str, Any]:  # noqa: AR
 
 
 def _soft(scene: Scene, rng: np.random.Generator) -> dict[str, Any]:
-    rows, columns = np.indices(scene.cost_map.shape[1:]) * (scene.resolution * np.pi / WAVES)
+    height, width = scene.cost_map.shape[1:]
+    rows, columns = np.indices((height, width)) * (2 * np.pi * WAVES / max(height, width))
     first, second = rng.uniform(0.0, 2 * np.pi, 2)
     return {"cost_map": {"risk": np.clip(np.sin(rows + first) * np.sin(columns + second), 0, 1)}}
 

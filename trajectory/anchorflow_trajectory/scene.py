@@ -179,7 +179,13 @@ class Scene:
 
     def routes_with(self, slack: float) -> list[Route]:
         """Return the routes that keep `slack` m beyond robot_radius, if any."""
-        return self._pulled_tight(self._found_routes(slack), slack=slack)
+        if slack not in self._searched:
+            self._searched[slack] = self._pulled_tight(self._found_routes(slack), slack=slack)
+        return self._searched[slack]
+
+    @cached_property
+    def _searched(self) -> dict[float, list[Route]]:
+        return {}
 
     def _pulled_tight(self, routes: list[Route], *, slack: float) -> list[Route]:
         return pulled_tight(
