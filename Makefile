@@ -60,7 +60,7 @@ bench: $(VENV)/.dev  ## Measure quality, latency and load into benchmarks/result
 docs: $(VENV)/.docs  ## Build the documentation into site/; a warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-walkthrough: $(VENV)/.dev  ## Type what the documentation prints, in a fresh checkout (ten minutes)
+walkthrough: $(VENV)/.dev  ## Type what the documentation prints, in a fresh checkout (half an hour)
 	$(BIN)/python docs/walkthrough.py
 
 image:  ## Build the image with buildah, run it, ask it for anchors (as root; skips where it cannot)
