@@ -7,15 +7,14 @@ so.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from itertools import count, cycle
+from itertools import count, cycle, islice
 from typing import Any
 
 import numpy as np
 
-from anchorflow_benchmarks.planners import request_of
 from anchorflow_benchmarks.report import Row
-from anchorflow_benchmarks.turns import p50, p99, take_turns
-from anchorflow_client.contract import AnchorRequest, OdeSpec, resolve_for_card
+from anchorflow_benchmarks.turns import MIN_ROUNDS, p50, p99, take_turns
+from anchorflow_client.contract import AnchorRequest, OdeSpec, SamplerChoice, resolve_for_card
 from anchorflow_service.engine import Engine
 from anchorflow_trajectory.scene import Scene
 
@@ -41,9 +40,9 @@ def field_rows(
     rest_s: float = 0.0,
 ) -> list[Row]:
     """Return p50 and p99 in ms of requests with each field, and p50 over that without any."""
-    turns = count()
+    turns, asked = count(), 1 + max(rounds, MIN_ROUNDS)
     calls = {
-        name: _calls(engine, _requests(scenes, draw, turns, num=num, sampler=sampler))
+        name: _calls(engine, _requests(scenes, draw, turns, num=num, sampler=sampler), asked)
         for name, draw in FIELDS.items()
     }
     times = take_turns(calls, rounds=rounds, budget_s=budget_s, rest_s=rest_s)
@@ -62,8 +61,10 @@ def field_rows(
     ]
 
 
-def _calls(engine: Engine, requests: Iterator[AnchorRequest]) -> Callable[[], object]:
-    return lambda: engine.plan(resolve_for_card(next(requests), engine.card))
+def _calls(engine: Engine, requests: Iterator[AnchorRequest], asked: int) -> Callable[[], object]:
+    """Return a call that plans the next of `asked` requests, which are made before."""
+    ready = iter([resolve_for_card(each, engine.card) for each in islice(requests, asked)])
+    return lambda: engine.plan(next(ready))
 
 
 def _requests(
@@ -72,7 +73,6 @@ def _requests(
     """Yield a request for each scene in turn, with the fields that `draw` gives."""
     for index, scene in cycle(enumerate(scenes)):
         rng = np.random.default_rng([SEED, index])
-        plain = request_of(scene, num=num, seed=SEED, sampler=sampler)
         asked: dict[str, Any] = {
             "cost_map": {
                 "data": _unseen(scene, next(turns))[None],
@@ -85,7 +85,7 @@ def _requests(
             "num_samples": num,
             "robot_radius": scene.robot_radius,
             "seed": SEED,
-            "sampler": plain.sampler,
+            "sampler": SamplerChoice(sampler.method, sampler.schedule),
         }
         fields = draw(scene, rng)
         cost_map = asked["cost_map"] | fields.pop("cost_map", {})

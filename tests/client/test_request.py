@@ -197,10 +197,10 @@ def test_the_length_of_the_state_tells_the_dimensions(
 
 
 def test_a_heading_is_no_place_on_the_map(heading_fields: dict[str, Any]) -> None:
-    """The map reaches 5 m, and a velocity 100 m/s; a heading of 20 rad is as good as any."""
-    heading_fields["x_curr"][2] = 20.0
+    """The map reaches 5 m, and a velocity 100 m/s; a heading of 600 rad is as good as any."""
+    heading_fields["x_curr"][2] = 600.0
 
-    assert AnchorRequest.from_fields(heading_fields).x_curr[0, 2] == 20.0
+    assert AnchorRequest.from_fields(heading_fields).x_curr[0, 2] == 600.0
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ FAR_OFF = 3.0
 """Sides of the map from 0, beyond which a place may be meant in another unit."""
 COARSE = 1.0
 """m/cell, from which on a resolution may be meant in centimetres."""
+TURN = 360.0
 PERCENT, BYTE = 100.0, 255.0
 MOST_CHANNELS = 16
 PLANE_STATES = {"x_curr": 6, "x_goal": 4}
@@ -76,10 +77,17 @@ def states_hint(field: str, size: int) -> str:
     return ""
 
 
-def heading_hint(states: NDArray[Any]) -> str:
-    """Say what the greatest heading of the states x, y, heading, … would be in rad."""
-    turn = float(np.abs(states[..., 2]).max())
-    return f"; is it in degrees? {turn:g} degrees are {math.radians(turn):.3g} rad"
+def degrees_hint(headings: NDArray[Any]) -> str:
+    """Say what headings would be in rad that are whole, and from one turn in rad to one in degrees.
+
+    A heading that runs on is hardly ever whole, and no robot is stopped for having turned often.
+    """
+    size = np.abs(headings)
+    is_likely = (size > 2 * math.pi) & (size <= TURN) & (size == np.round(size))
+    if not is_likely.any():
+        return ""
+    turn = float(headings[is_likely][0])
+    return f", got {turn:g}; is it in degrees? {turn:g} degrees are {math.radians(turn):.3g} rad"
 
 
 def place_hint(

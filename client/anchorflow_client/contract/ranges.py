@@ -17,8 +17,6 @@ VELOCITY = Interval(-V_MAX.high, V_MAX.high, V_MAX.unit)
 ACCELERATION = Interval(-100.0, 100.0, A_MAX.unit)
 STATE = (COORDINATE, VELOCITY, ACCELERATION)
 """The range of each D-vector of `x_curr` and `x_goal`; headings are in rad."""
-HEADING = Interval(-8 * math.pi, 8 * math.pi, "rad")
-"""Four turns either way: one that runs on stays inside for long, and degrees mostly do not."""
 OBSTACLE_RADIUS = Interval(0.0, 100.0, "m")
 GROWTH = Interval(0.0, 100.0, "m/s")
 FORECAST_DT = Interval(1e-3, 600.0, "s")

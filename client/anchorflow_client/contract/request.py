@@ -38,10 +38,10 @@ from anchorflow_client.contract.fields import (
     SamplerChoice,
     WarmStart,
 )
-from anchorflow_client.contract.hints import heading_hint, place_hint, resolution_hint
+from anchorflow_client.contract.hints import degrees_hint, place_hint, resolution_hint
 from anchorflow_client.contract.inputs import Inputs, read_inputs
 from anchorflow_client.contract.obstacles import Obstacles
-from anchorflow_client.contract.ranges import HEADING, STATE, STYLE_WEIGHT
+from anchorflow_client.contract.ranges import STATE, STYLE_WEIGHT
 from anchorflow_client.contract.rows import with_rows
 from anchorflow_client.errors import InvalidRequest
 
@@ -230,8 +230,8 @@ def read_states(value: Any, field: str, parts: int, *dims: int) -> NDArray[np.fl
     dim = states.shape[-1] // parts
     for part in range(parts):
         within(states, field, STATE[part], part=slice(part * dim, (part + 1) * dim))
-    if dim == DIMENSIONS[-1]:
-        within(states, field, HEADING, part=slice(dim - 1, dim), hint=heading_hint)
+    if dim == DIMENSIONS[-1] and (hint := degrees_hint(states[..., dim - 1])):
+        raise InvalidRequest(f"expected a heading in rad{hint}", field)
     return states
 
 
@@ -264,7 +264,10 @@ def _style(value: Any) -> NDArray[np.float64]:
 
 
 def _check_places(request: AnchorRequest) -> None:
-    """Refuse a start or goal off the map, or in an occupied cell unless the request allows that."""
+    """Refuse cells far wider than the robot, and a start or goal off the map or in an obstacle.
+
+    The latter unless the request allows it.
+    """
     cost_map = request.cost_map
     most = CELLS_OF_A_ROBOT * max(request.robot_radius or 0.0, SMALL_ROBOT)
     if cost_map.resolution > most and request.footprint is None:
