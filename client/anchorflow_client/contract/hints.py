@@ -28,7 +28,7 @@ FAR_OFF = 3.0
 """Sides of the map from 0, beyond which a place may be meant in another unit."""
 COARSE = 1.0
 """m/cell, from which on a resolution may be meant in centimetres."""
-TURN = 360.0
+ROUND_ANGLE, TURN = 5.0, 360.0
 PERCENT, BYTE = 100.0, 255.0
 MOST_CHANNELS = 16
 PLANE_STATES = {"x_curr": 6, "x_goal": 4}
@@ -78,12 +78,12 @@ def states_hint(field: str, size: int) -> str:
 
 
 def degrees_hint(headings: NDArray[Any]) -> str:
-    """Say what headings would be in rad that are whole, and from one turn in rad to one in degrees.
+    """Say what headings of 10, 15, 20 and so on to 360 would be in rad.
 
-    A heading that runs on is hardly ever whole, and no robot is stopped for having turned often.
+    A heading that runs on hardly ever hits one, and no robot is stopped for having turned often.
     """
     size = np.abs(headings)
-    is_likely = (size > 2 * math.pi) & (size <= TURN) & (size == np.round(size))
+    is_likely = (size > ROUND_ANGLE) & (size <= TURN) & (size % ROUND_ANGLE == 0)
     if not is_likely.any():
         return ""
     turn = float(headings[is_likely][0])
