@@ -57,7 +57,7 @@ Guarded = Annotated[
 Foreseeing = Annotated[
     bool,
     typer.Option(
-        "--foreseeing", help="Each bundle with futures drives twice: then with others drawn there."
+        "--foreseeing", help="Each bundle with futures drives twice: then told of the others."
     ),
 ]
 Late = Annotated[

@@ -14,7 +14,6 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import (
@@ -28,10 +27,12 @@ from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.sensors.inputs import check_inputs, draw_inputs
-from anchorflow_driving.window import PlannerView, Window
+from anchorflow_driving.window import Window
 
 ROUTE = "route"
 """Name of the input that takes the route."""
+OTHERS = "others"
+"""Name of the input that says who else is there."""
 GOAL_EXTRAS = ("goals", "goal_scores")
 
 
@@ -91,8 +92,9 @@ class BundleDriver:
             self._options["sampler"] = sampler
         extras = {spec.name for spec in card.answer.extras}
         self._outputs = [extra for extra in GOAL_EXTRAS if extra in extras]
-        self._inputs = [spec for spec in card.inputs if spec.name != ROUTE]
+        self._inputs = [spec for spec in card.inputs if spec.name not in (ROUTE, OTHERS)]
         self._route = [spec for spec in card.inputs if spec.name == ROUTE]
+        self._others = [spec for spec in card.inputs if spec.name == OTHERS]
         self._follows_route = self._foresees = False
         self.predicts = FUTURES in extras
         self._draws_noise = not isinstance(card.sampler, VocabularySpec)
@@ -121,8 +123,8 @@ class BundleDriver:
         return other
 
     def foreseeing(self) -> BundleDriver:
-        """Return this driver with the others drawn where the planner predicts them: two requests a
-        plan, the first for the `futures` of a card that `predicts`."""
+        """Return this driver with a planner that is told of the others, and chooses by where it
+        predicts them: one of a card that `predicts`."""
         other = copy(self)
         other._foresees = True
         other.name = f"{self.name}_foreseeing"
@@ -153,10 +155,8 @@ class BundleDriver:
     def propose(self, window: Window) -> WindowProposals:
         """Ask for proposals on the view of a window."""
         started = perf_counter()
-        specs = [*self._inputs, *self._route] if self._follows_route else self._inputs
+        specs = self._inputs + self._route * self._follows_route + self._others * self._foresees
         inputs = draw_inputs(window.view, specs)
-        if self._foresees:
-            inputs["bev"] = self._foreseen(window.view, inputs)
         drawing_ms = 1e3 * (perf_counter() - started)
         last_plan = window.meanwhile if self.delay_s else None
         answer = self._client.plan(
@@ -174,13 +174,6 @@ class BundleDriver:
             drawing_ms=drawing_ms,
             flow_ms=answer.timing_ms["sample"],
         )
-
-    def _foreseen(self, view: PlannerView, inputs: dict[str, Any]) -> NDArray[np.uint8]:
-        # Here, because they need Pillow.
-        from anchorflow_driving.foreseen_bev import foreseen_bev
-        from anchorflow_driving.futures import asked_futures
-
-        return foreseen_bev(view, asked_futures(self._client, inputs))
 
 
 def _doubles(answer: AnchorBatch, name: str) -> Array | None:

@@ -16,9 +16,8 @@ from anchorflow_driving.pdm.collisions import boxes_touch
 from anchorflow_driving.pdm.pdm_closed import pdm_closed
 from anchorflow_driving.pdm.traffic import recorded_traffic, seen_traffic
 from anchorflow_driving.window import Window
+from anchorflow_trajectory.car.tracking import PLAN_TIMES
 
-PLAN_TIMES: Array = np.arange(1, 9, dtype=np.float64) * 0.5
-"""s, of the 8 poses that the PDM score takes."""
 WAYPOINT_TIMES: Array = np.arange(1, 46, dtype=np.float64) * FRAME_S
 """s, of 45 waypoints."""
 

@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory.car.tracking import wrap_angle as wrap_angle
+
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
 Real = NDArray[np.floating] | NDArray[np.integer]
 
 # Front left, front right, rear right, rear left, in half lengths and half widths.
 _CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
-
-
-def wrap_angle(angle: Array) -> Array:
-    """The same angle in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def out_of_frame(points: Array, frame: Array) -> Array:

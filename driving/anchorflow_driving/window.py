@@ -19,6 +19,7 @@ from anchorflow_driving.log import COMMANDS, FRAME_S, HISTORY_FRAMES, DrivingLog
 from anchorflow_driving.recorded_sensors import RecordedSensors
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
+from anchorflow_trajectory.car.tracking import EgoState
 
 REAR_AXLE = 0.2823
 """Behind the middle of the box, in lengths: the proportions of the car that NAVSIM scores with."""
@@ -50,16 +51,6 @@ class Vehicle:
     def middles(self, axle_poses: Array) -> Array:
         """Poses [..., 3] of the box's middle from those of the rear axle."""
         return ahead_of(axle_poses, self.rear_axle)
-
-
-@dataclass(frozen=True)
-class EgoState:
-    """How the ego moves now."""
-
-    pose: Array  # [3] of the rear axle, in the log's frame
-    speed: float  # m/s along the heading, not below 0
-    acceleration: float  # m/s² along the heading
-    curvature: float  # 1/m, positive to the left
 
 
 @dataclass(frozen=True, eq=False)

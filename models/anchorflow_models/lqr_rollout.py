@@ -1,7 +1,7 @@
 """The rollout of a car that tracks a trajectory: it brakes and steers with a delay.
 
 The controller is the one of the PDM score, an LQR on a kinematic bicycle as nuPlan's simulation has
-it (`anchorflow_driving.pdm.lqr_rollout`), in steps of a quarter of a second in place of a tenth.
+it (`anchorflow_trajectory.car.tracking`), in steps of a quarter of a second in place of a tenth.
 """
 
 from __future__ import annotations

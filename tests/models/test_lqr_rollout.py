@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from anchorflow_driving.pdm.lqr_rollout import interpolate, track
 from anchorflow_driving.window import WHEELBASE as OF_NAVSIM, EgoState
 from anchorflow_models.goalflow.ways import roll_out
 from anchorflow_models.lqr_rollout import WHEELBASE, Start, driven, halved
+from anchorflow_trajectory.car.tracking import interpolate, track
 
 T, DT, AXLES = 8, 0.5, 2.9
 

@@ -5,8 +5,8 @@
 compiles what a later process then finds on disk, in two processes at a time where there are two
 cores: all of it, or the stages that are named. `still` is what a scene needs in which nothing
 moves, `moving` what it needs besides, `poses` what bodies on wheels need, `guard` what judges plans
-of cars. The loops of a stage are compiled for types of their own, so that a service may answer
-after the first.
+of cars, `foresight` what scores them among others who are foreseen. The loops of a stage are
+compiled for types of their own, so that a service may answer after the first.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ from anchorflow_trajectory.bodies.outline import Outline
 from anchorflow_trajectory.bodies.planner import BodyPlanner
 from anchorflow_trajectory.bodies.scene import Body, BodyScene
 from anchorflow_trajectory.bodies.wheels import Wheels
+from anchorflow_trajectory.car.foresight import Foreseen, foreseen_poses, worth
+from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState
 from anchorflow_trajectory.compiled import code_folder
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.fields import CostFields
@@ -68,13 +70,14 @@ PROGRAM = (
     + CAN_MASK * "signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT]);"
     + "from anchorflow_trajectory.warm_up import main; main(sys.argv[1:])"
 )
-STILL, MOVING, POSES, GUARD = STAGES = ("still", "moving", "poses", "guard")
-USUAL_S = {STILL: 40, MOVING: 40, POSES: 30, GUARD: 10}  # on two cores
+STILL, MOVING, POSES, GUARD, FORESIGHT = STAGES = ("still", "moving", "poses", "guard", "foresight")
+USUAL_S = {STILL: 40, MOVING: 40, POSES: 30, GUARD: 10, FORESIGHT: 5}  # on two cores
 SUBJECTS = {
     STILL: "routes and finish",
     MOVING: "moving obstacles",
     POSES: "footprints and wheels",
     GUARD: "the guard of cars",
+    FORESIGHT: "cars among others who are foreseen",
 }
 DESCENT, NICED = "--descent", "--niced"
 NICENESS = 10
@@ -125,6 +128,8 @@ def _compile(stage: str) -> None:
             )
         if stage == GUARD:
             _run_guard()
+        elif stage == FORESIGHT:
+            _run_foresight()
         elif stage == POSES:
             _run_poses()
         else:
@@ -171,6 +176,16 @@ def _run_guard() -> None:
     times = np.array([1.0, 2.0])
     guard = Guard(times, Car(2.0, 1.0, 0.5), 0.1, Perceived(cells, boxes, rest), 1.0)
     guard.with_stop(np.array([[[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]]))
+
+
+def _run_foresight() -> None:
+    """Score a plan beside a box that may go one way."""
+    road = Raster(np.ones((1, 8, 8), np.float32), (-4.0, 4.0, -4.0, 4.0))
+    now, half = np.array([[3.0, 3.0, 0.0]]), np.array([[1.0, 0.5]])
+    ways = foreseen_poses(now, np.repeat(now[:, None, None], len(PLAN_TIMES), 2))
+    foreseen = Foreseen(ways, np.ones((1, 1)), half, np.array([[3.0, -3.0]]), road)
+    start, plans = EgoState(np.zeros(3), 0.1, 0.0, 0.0), np.zeros((1, len(PLAN_TIMES), 3))
+    worth(plans, start, Car(2.0, 1.0, 0.5), foreseen, wheelbase=2.0)
 
 
 @contextmanager

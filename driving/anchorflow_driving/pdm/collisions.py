@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import Array, ahead_of, box_corners, boxes_overlap, wrap_angle
 from anchorflow_driving.log import FRAME_S, STATIC
-from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.road import Road
 from anchorflow_driving.window import Vehicle
+from anchorflow_trajectory.car.tracking import Motion
 
 STOPPED = 0.05
 """m/s, at or below which an ego is never at fault, and hitting another always counts."""

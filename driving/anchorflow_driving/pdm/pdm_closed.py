@@ -12,9 +12,9 @@ import numpy as np
 
 from anchorflow_driving.geometry import Array, box_corners, into_frame, out_of_frame
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion, track
 from anchorflow_driving.pdm.sub_scores import rate
 from anchorflow_driving.pdm.traffic import Traffic
+from anchorflow_trajectory.car.tracking import STEPS, Motion, track
 
 OFFSETS = (0.0, -1.0, 1.0)  # m to the left
 SPEED_SHARES = (0.2, 0.4, 0.6, 0.8, 1.0)  # of the speed limit

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from anchorflow_driving.geometry import Array, out_of_frame
-from anchorflow_driving.pdm.lqr_rollout import Motion, interpolate, track
 from anchorflow_driving.pdm.pdm_closed import PdmClosed, pdm_closed
 from anchorflow_driving.pdm.sub_scores import SUB_SCORES, PdmScores, metres_against, rate
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.window import EgoState, Vehicle, Window
+from anchorflow_trajectory.car.tracking import Motion, interpolate, track
 
 __all__ = ["SUB_SCORES", "PdmScorer", "PdmScores"]
 

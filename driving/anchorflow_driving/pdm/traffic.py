@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.geometry import Array, out_of_frame
 from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.pdm.lqr_rollout import STEPS
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
 from anchorflow_driving.window import EgoState, PlannerView, Vehicle, Window
+from anchorflow_trajectory.car.tracking import STEPS
 
 FRAMES = STEPS + 10
 """Of the others: time to collision looks 0.9 s past the last step."""

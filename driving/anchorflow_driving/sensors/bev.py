@@ -93,7 +93,7 @@ def draw_bev(view: PlannerView, grid: BevGrid = BEV) -> Bytes:
     others = np.arange(len(now)) != view.ego
     of_kind = {name: others & np.isin(view.track_type, kinds) for name, kinds in KINDS.items()}
     boxes = [painter.boxes(now, view.track_size, which) for which in of_kind.values()]
-    moved = [painter.boxes(later(now, s), view.track_size, others) for s in grid.ahead_s]
+    moved = [painter.boxes(_later(now, s), view.track_size, others) for s in grid.ahead_s]
     return np.stack(
         [
             _drivable(view, grid),
@@ -112,7 +112,7 @@ def draw_boxes(states: Array, size: Array, grid: BevGrid) -> Bytes:
     return _Painter(grid).boxes(states, size, np.ones(len(states), np.bool_))
 
 
-def later(states: Array, time: float) -> Array:
+def _later(states: Array, time: float) -> Array:
     """States [K, 5] after a time at constant velocity."""
     return np.concatenate([states[:, :2] + time * states[:, 3:], states[:, 2:]], axis=1)
 

@@ -25,7 +25,6 @@ from anchorflow_driving.log import (
     track_fields,
 )
 from anchorflow_driving.pdm.collisions import Placement, find_contacts, no_collision
-from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.pdm.score import tracked
 from anchorflow_driving.pdm.traffic import Others, Traffic
 from anchorflow_driving.route import ROUTE_SIGMA, SPACING, Route, smooth_line
@@ -47,6 +46,7 @@ from anchorflow_driving.simulation.street_plan import make_net
 from anchorflow_driving.simulation.sumo_traffic import LiveTraffic
 from anchorflow_driving.window import EgoState, PlannerView, Scenes, Vehicle, Window, planner_view
 from anchorflow_driving.window_choice import command, fits_ego
+from anchorflow_trajectory.car.tracking import Motion
 
 ATTEMPTS = 10
 """Draws until a vehicle is found that can drive so far."""

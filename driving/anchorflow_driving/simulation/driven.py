@@ -17,10 +17,10 @@ from anchorflow_driving.log import (
     track_fields,
     window_fields,
 )
-from anchorflow_driving.pdm.lqr_rollout import STEPS, Motion
-from anchorflow_driving.pdm.sub_scores import comfort
 from anchorflow_driving.route import SPACING
 from anchorflow_driving.window import EgoState
+from anchorflow_trajectory.car.comfort import comfort
+from anchorflow_trajectory.car.tracking import STEPS, Motion
 
 if TYPE_CHECKING:
     from anchorflow_driving.simulation.sumo_traffic import LiveTraffic

@@ -21,7 +21,9 @@ from anchorflow_service.bundle.providers import DEFAULT_PROVIDER
 from anchorflow_service.engine.conditioning import CONDITIONINGS
 from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import FINISHES
+from anchorflow_service.engine.foresight import Foresight
 from anchorflow_service.engine.futures import OthersFutures
+from anchorflow_service.engine.guard import SCORES
 from anchorflow_service.engine.interfaces import (
     DT,
     SAFE,
@@ -93,6 +95,8 @@ class Engine:
         graphs = graphs or OnnxGraphs(bundle, threads=self._threads, provider=provider)
         predicts = is_own and FUTURES in manifest.graphs
         self._futures = OthersFutures(manifest, graphs) if predicts else None
+        foresees = predicts and Foresight.is_possible(manifest)
+        self._foresight = Foresight(manifest) if foresees else None
         self.sampler: Sampler = kind(manifest, graphs, threads=self._threads)
         self._finish = FINISHES[manifest.finish.kind](manifest, threads=self._threads)
         self._poses = PosePlanner(manifest, threads=self._threads)
@@ -229,7 +233,11 @@ class Engine:
         with clock.stage("sample"):
             samples = self.sampler.sample(scene, context, threads=threads, check=check)
             futures = self._futures.predict(scene) if self._futures else {}
-        return replace(samples, context=context, arrays={**samples.arrays, **futures})
+            samples = replace(samples, context=context, arrays={**samples.arrays, **futures})
+            if self._foresight and OthersFutures.told(scene):
+                scores = self._foresight.scores(samples, scene, futures)
+                samples = replace(samples, arrays={**samples.arrays, SCORES: scores})
+        return samples
 
     def _draws_ways(self, scene: ConditionedScene) -> TypeGuard[MapScene]:
         """Whether the anchors of a scene are drawn without a network."""

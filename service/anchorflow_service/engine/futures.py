@@ -18,13 +18,18 @@ class OthersFutures:
         self._graph, self._graphs = manifest.graphs[FUTURES], graphs
         self.names = self._graph.output_names
 
+    @staticmethod
+    def told(scene: ConditionedScene) -> bool:
+        """Return whether a request tells who else is there."""
+        return OTHERS in scene.request.inputs
+
     def predict(self, scene: ConditionedScene) -> Arrays:
-        """Return the graph's outputs [A, …] of a scene, if its request names one of them.
+        """Return the graph's outputs [A, …] of a scene, if its request tells or asks of the others.
 
         Rows after the last of the others are not computed, but zeros. Raises `InvalidRequest` if a
         kind is unknown.
         """
-        if not {*self.names} & {*scene.request.outputs}:
+        if not (self.told(scene) or {*self.names} & {*scene.request.outputs}):
             return {}
         inputs = scene.inputs(self._graph.input_names)
         others = inputs[OTHERS]

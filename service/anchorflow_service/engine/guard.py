@@ -66,11 +66,10 @@ class GuardFinish:
         return told(Verdict(arrays[CAUSES], arrays[TIMES]))
 
     def _guard(self, context: Context, scene: ConditionedScene) -> Guard:
-        entry, inputs = self._entry, scene.inputs(self._entry.inputs)
-        length, width = entry.size or inputs[VEHICLE_SIZE][0].tolist()
+        entry = self._entry
         return Guard(
             times=self._late.times,
-            car=Car(front=(1 - AXLE) * length, rear=AXLE * length, side=width / 2),
+            car=car_of(entry, scene),
             speed=speed_of(scene),
             perceived=perceived(entry, context),
             horizon_s=entry.horizon_s,
@@ -103,6 +102,12 @@ class GuardFinish:
                 np.concatenate([verdict.time[kept], of_stop.time]),
             )
         )
+
+
+def car_of(entry: GuardEntry, scene: ConditionedScene) -> Car:
+    """Return the car of a scene."""
+    length, width = entry.size or scene.inputs((VEHICLE_SIZE,))[VEHICLE_SIZE][0].tolist()
+    return Car(front=(1 - AXLE) * length, rear=AXLE * length, side=width / 2)
 
 
 def ranked(scores: Array, safe: NDArray[np.bool_]) -> Array:

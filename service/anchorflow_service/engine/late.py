@@ -10,8 +10,8 @@ from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.interfaces import Array, ConditionedScene
 from anchorflow_trajectory.late import Departure, joined
 
-SPEED, ASIDE = 4, 7
-"""Indices of the velocity along x and of the acceleration along y in `ego_status`."""
+SPEED, ACCELERATION, ASIDE = 4, 6, 7
+"""Indices in `ego_status` of the velocity along x and of the accelerations along x and y."""
 SLOWEST_TURN = 1.0
 """m/s; below it a yaw rate cannot be read from an acceleration."""
 POSE = 3
@@ -22,6 +22,12 @@ def speed_of(scene: ConditionedScene) -> float:
     return float(scene.inputs((STATUS,))[STATUS][0, SPEED])
 
 
+def yaw_rate_of(scene: ConditionedScene) -> float:
+    """Return the rad/s of a scene's car; 0 if it is slow."""
+    speed, aside = speed_of(scene), float(scene.inputs((STATUS,))[STATUS][0, ASIDE])
+    return aside / speed if speed > SLOWEST_TURN else 0.0
+
+
 def departure_of(scene: ConditionedScene) -> Departure | None:
     """Return where the plans of a request with a delay begin; None without one."""
     request = scene.request
@@ -30,8 +36,7 @@ def departure_of(scene: ConditionedScene) -> Departure | None:
     speed = speed_of(scene)
     if request.last_plan is not None:
         return Departure.along(request.delay_s, request.last_plan, speed=speed)
-    aside = float(scene.inputs((STATUS,))[STATUS][0, ASIDE])
-    yaw_rate = aside / speed if speed > SLOWEST_TURN else 0.0
+    yaw_rate = yaw_rate_of(scene)
     return Departure.at_constant_rates(request.delay_s, speed=speed, yaw_rate=yaw_rate)
 
 

@@ -16,6 +16,7 @@ import time
 
 from anchorflow_client.errors import NotReady
 from anchorflow_trajectory.warm_up import (
+    FORESIGHT,
     GUARD,
     MOVING,
     POSES,
@@ -95,7 +96,8 @@ class LaterLoops:
 MOVING_LOOPS = LaterLoops(MOVING, "obstacles")
 POSE_LOOPS = LaterLoops(POSES, "kinematics")
 GUARD_LOOPS = LaterLoops(GUARD, "refine.guard", after=())
-LOOPS = (MOVING_LOOPS, POSE_LOOPS, GUARD_LOOPS)
+FORESIGHT_LOOPS = LaterLoops(FORESIGHT, "inputs.others", after=())
+LOOPS = (MOVING_LOOPS, POSE_LOOPS, GUARD_LOOPS, FORESIGHT_LOOPS)
 
 
 def defer() -> None:

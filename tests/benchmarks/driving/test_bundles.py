@@ -25,10 +25,10 @@ from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
 from anchorflow_driving.pdm import PdmScorer, PdmScores
-from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.sensors.inputs import SENSORS
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_trajectory.car.tracking import Motion
 
 GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
 N = 16

@@ -9,7 +9,6 @@ import pytest
 from driven_bend import one_lane
 
 from anchorflow_driving.log import HISTORY_FRAMES, VEHICLE
-from anchorflow_driving.pdm.lqr_rollout import Motion
 from anchorflow_driving.route import SPACING
 from anchorflow_driving.simulation.driven import (
     QUANTITIES,
@@ -18,6 +17,7 @@ from anchorflow_driving.simulation.driven import (
     first_steps,
     joined,
 )
+from anchorflow_trajectory.car.tracking import Motion
 
 for _module in ("sumo", "libsumo"):
     pytest.importorskip(_module, reason=f"{_module} is not installed")

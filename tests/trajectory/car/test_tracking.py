@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from anchorflow_driving.pdm.lqr_rollout import Motion, interpolate, reference_profiles, track
-from anchorflow_driving.pdm.sub_scores import BOUNDS, comfort, felt
 from anchorflow_driving.window import EgoState
+from anchorflow_trajectory.car.comfort import BOUNDS, comfort, felt
+from anchorflow_trajectory.car.tracking import Motion, interpolate, reference_profiles, track
 
 TIME = np.arange(41, dtype=np.float64) * 0.1
 WHEELBASE = 3.0

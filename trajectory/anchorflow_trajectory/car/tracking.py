@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 
-from anchorflow_driving.geometry import Array, wrap_angle
-from anchorflow_driving.log import FRAME_S
-from anchorflow_driving.window import EgoState
+Array = NDArray[np.float64]
 
+FRAME_S = 0.1
+"""s between two steps of a rollout."""
+PLAN_TIMES: Array = np.arange(1, 9, dtype=np.float64) * 0.5
+"""s, of the 8 poses that the PDM score takes."""
 STEPS = 40
 """Steps of FRAME_S in a rollout: 4 s."""
 LOOKAHEAD = 10
@@ -24,6 +27,16 @@ MAX_STEERING = np.pi / 3
 
 ACCELERATION_PENALTY = 1e-4
 CURVATURE_PENALTY, CURVATURE_RATE_PENALTY = 1e-10, 1e-2
+
+
+@dataclass(frozen=True)
+class EgoState:
+    """How a car moves now."""
+
+    pose: Array  # [3] of the rear axle, in the frame of the rollout
+    speed: float  # m/s along the heading, not below 0
+    acceleration: float  # m/s² along the heading
+    curvature: float  # 1/m, positive to the left
 
 
 @dataclass(frozen=True)
@@ -180,3 +193,8 @@ def _steering(start: EgoState, wheelbase: float) -> float:
 def _share(lag: float) -> float:
     """Return the share of a command that a first-order lag passes on in one step."""
     return FRAME_S / (FRAME_S + lag)
+
+
+def wrap_angle(angle: Array) -> Array:
+    """The same angle in [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,268 @@
+"""What plans are worth among others who may go several ways.
+
+    worth = NC · DAC · ((5 EP + 5 TTC + 2 C) / 12)^4
+
+is a PDM score of what is driven, expected over the others' modes. Each plan is tracked by the
+controller of `tracking`. NC and TTC are the chances that the car hits nobody, and that nothing is
+touched within 0.9 s at its speed and heading, if the others choose their modes independently. DAC
+is whether the car stays on the road, C whether the drive is comfortable, and EP its length by that
+of the longest that is likely to be allowed. The power was chosen on simulated logs
+(docs/goalflow-bundle.md).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from anchorflow_trajectory import BoolArray, FloatArray
+from anchorflow_trajectory.car.comfort import comfort
+from anchorflow_trajectory.car.tracking import (
+    FRAME_S,
+    PLAN_TIMES,
+    STEPS,
+    EgoState,
+    Motion,
+    interpolate,
+    track,
+)
+from anchorflow_trajectory.compiled import compiled, compiled_part
+from anchorflow_trajectory.guard.faults import Raster
+from anchorflow_trajectory.guard.motion import Car
+
+POWER = 4
+FREE_PROGRESS = 5.0
+"""m; progress counts only if some plan exceeds it."""
+LAST_LOOK = 9
+"""Steps that the time to collision looks ahead at most."""
+STANDS = 0.3
+"""m/s, of a foreseen box up to which it stands: who touches it is at fault from any side."""
+ROAD = 0.45, 0.55
+"""Shares of road under a corner, below and above which it is certainly off and on the road."""
+STATIC_PENALTY = 0.5
+"""Of hitting what nobody foresees to move."""
+STOPPED, MOVES = 0.05, 0.005
+"""m/s, up to which a car is at fault for nothing, and from which on it needs time."""
+BEHIND = 5 * np.pi / 6
+"""rad off the heading, beyond which who touches the car comes from behind."""
+OWN_M = 0.75
+"""m about a box in which occupied cells are its own."""
+LEAST = 0.1
+"""Share of a cell from which on something stands there."""
+
+
+@dataclass(frozen=True, eq=False)
+class Foreseen:
+    """What is there, in the frame of the rear axle now.
+
+    poses: [A,M,50,3] of the others' middles in each mode, FRAME_S apart from now on
+    probabilities: [A,M]; half: [A,2] half lengths and widths
+    standing: [P,2] places that something else takes
+    road: one layer, how sure each cell is road
+    """
+
+    poses: FloatArray
+    probabilities: FloatArray
+    half: FloatArray
+    standing: FloatArray
+    road: Raster
+
+
+def foreseen_poses(now: FloatArray, futures: FloatArray) -> FloatArray:
+    """Return poses [A,M,50,3] of others at `now` [A,3] and then at futures [A,M,8,3].
+
+    After their last poses the others go on as in the last step.
+    """
+    first = np.broadcast_to(now[:, None, None], (*futures.shape[:2], 1, 3))
+    poses = np.concatenate([first, futures], 2, dtype=np.float64)
+    poses[..., 2] = np.unwrap(poses[..., 2], axis=2)
+    after = 2 * poses[:, :, -1:] - poses[:, :, -2:-1]
+    after[..., 2] = poses[:, :, -1:, 2]
+    poses = np.concatenate([poses, after], 2)
+    place = np.arange(STEPS + 1 + LAST_LOOK) * FRAME_S / PLAN_TIMES[0]
+    leg = np.minimum(place.astype(int), len(PLAN_TIMES))
+    share = (place - leg)[:, None]
+    return poses[:, :, leg] * (1 - share) + poses[:, :, leg + 1] * share
+
+
+def standing_places(occupied: Raster, now: FloatArray, half: FloatArray) -> FloatArray:
+    """Return the middles [P,2] of cells of the first layer that are taken by none of the boxes.
+
+    now: [A,3] poses of the boxes; half: [A,2]
+    """
+    row, column = np.nonzero(occupied.values[0] >= LEAST)
+    high = np.array([occupied.extent[1], occupied.extent[3]])
+    places = high - (np.stack([row, column], -1) + 0.5) * occupied.cell
+    away = places[:, None] - now[:, :2]
+    cos, sin = np.cos(now[:, 2]), np.sin(now[:, 2])
+    ahead = np.abs(away[..., 0] * cos + away[..., 1] * sin)
+    aside = np.abs(away[..., 1] * cos - away[..., 0] * sin)
+    own = (ahead <= half[:, 0] + OWN_M) & (aside <= half[:, 1] + OWN_M)
+    return places[~own.any(1)]
+
+
+def worth(
+    plans: FloatArray, start: EgoState, car: Car, foreseen: Foreseen, *, wheelbase: float
+) -> FloatArray:
+    """Return what plans [N,8,3] at 0.5 … 4.0 s are worth, [N] in [0, 1].
+
+    start: at the origin, along x; wheelbase: m
+    """
+    poses = np.concatenate([np.zeros((len(plans), 1, 3)), plans], 1)
+    motion = track(interpolate(np.asarray(poses, np.float64)), start, wheelbase=wheelbase)
+    clear, ahead = _chances(motion, car, foreseen)
+    kept = clear * _on_road(motion, car, foreseen.road)
+    comfortable = comfort(motion)
+    way = np.linalg.norm(np.diff(motion.poses[..., :2], axis=1), axis=-1).sum(1)
+    longest = float((way * kept * comfortable).max())
+    progress = np.minimum(way / max(longest, FREE_PROGRESS), 1.0)
+    if longest <= FREE_PROGRESS:
+        progress = np.ones_like(way)
+    return kept * ((5 * progress + 5 * ahead + 2 * comfortable) / 12) ** POWER
+
+
+def _chances(motion: Motion, car: Car, foreseen: Foreseen) -> tuple[FloatArray, FloatArray]:
+    """Return the chances [N] of NC and TTC."""
+    count, modes = foreseen.probabilities.shape
+    boxes = np.ascontiguousarray(foreseen.poses.reshape(count * modes, *foreseen.poses.shape[2:]))
+    body = np.array([car.middle, car.half_length, car.side])
+    poses, speed = np.ascontiguousarray(motion.poses), np.ascontiguousarray(motion.speed)
+    touched = np.zeros((2, len(poses), len(boxes)))
+    _touched(poses, speed, body, boxes, foreseen.half.repeat(modes, 0), _standing(boxes), touched)
+    share = touched.reshape(2, len(poses), count, modes) * foreseen.probabilities
+    clear, ahead = (1 - np.minimum(share.sum(-1), 1.0)).prod(-1)
+    stood = np.zeros((2, len(poses)))
+    _touches(poses, speed, body, np.ascontiguousarray(foreseen.standing), stood)
+    return clear * (1 - STATIC_PENALTY * stood[0]), ahead * (1 - stood[1])
+
+
+def _standing(boxes: FloatArray) -> BoolArray:
+    """Return [B,S] whether boxes [B,S,3] stand then."""
+    moved = np.linalg.norm(np.diff(boxes[..., :2], axis=1), axis=-1)
+    return np.concatenate([moved, moved[:, -1:]], 1) <= STANDS * FRAME_S
+
+
+def _on_road(motion: Motion, car: Car, road: Raster) -> FloatArray:
+    """Return [N] how sure it is that all corners stay on the road; beyond the raster all is."""
+    ahead = np.array([car.front, car.front, -car.rear, -car.rear])
+    left = np.array([car.side, -car.side, car.side, -car.side])
+    x, y, heading = np.moveaxis(motion.poses[:, 1:, None], -1, 0)
+    cos, sin = np.cos(heading), np.sin(heading)
+    row = (road.extent[1] - x - ahead * cos + left * sin) / road.cell - 0.5
+    column = (road.extent[3] - y - ahead * sin - left * cos) / road.cell - 0.5
+    values = road.values[0]
+    rows, columns = values.shape
+    row, column = row.clip(0, rows - 1), column.clip(0, columns - 1)
+    i, j = (place.astype(int).clip(0, most - 2) for place, most in ((row, rows), (column, columns)))
+    down, right = row - i, column - j
+    upper = (1 - right) * values[i, j] + right * values[i, j + 1]
+    lower = (1 - right) * values[i + 1, j] + right * values[i + 1, j + 1]
+    least = ((1 - down) * upper + down * lower).min((1, 2))
+    low, high = ROAD
+    return ((least - low) / (high - low)).clip(0.0, 1.0)
+
+
+@compiled
+def _touched(poses, speed, body, boxes, half, stands, touched):
+    """Write to [2,N,B] which motions are at fault for touching a box, and which leave it no time.
+
+    Their first contact decides. poses: [N,S,3] of the rear axle; speed: [N,S]; boxes:
+    [B,S + LAST_LOOK,3]
+    """
+    count, steps = speed.shape
+    done = np.zeros((2, count, len(boxes)), np.bool_)
+    near = np.empty(len(boxes), np.int64)
+    for i in range(steps):
+        few = _near(poses, speed, body, boxes, half, i, near)
+        for n in range(count):
+            for b in near[:few]:
+                own = done[:, n, b]
+                if own[0] and own[1]:
+                    continue
+                for look in (0, 3, 6, 9):
+                    if own[1] and look > 0:
+                        break
+                    beside = _contact(
+                        poses[n, i], speed[n, i], body, boxes[b, i + look], half[b], look
+                    )
+                    if beside < 0:
+                        continue
+                    if look == 0 and speed[n, i] > STOPPED and not own[0]:
+                        own[0] = True
+                        touched[0, n, b] = stands[b, i] or beside <= BEHIND
+                    if not own[1]:
+                        own[1] = True
+                        touched[1, n, b] = beside <= BEHIND
+
+
+@compiled_part
+def _contact(pose, speed, body, box, half, look):
+    """The rad off the heading at which a moving car touches a box if it goes on for `look` steps;
+    -1 if it does not."""
+    if speed < MOVES:
+        return -1.0
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    way = body[0] + speed * look * FRAME_S
+    if not _overlap(pose[0] + way * cos, pose[1] + way * sin, cos, sin, body, box, half):
+        return -1.0
+    angle = np.arctan2(box[1] - pose[1], box[0] - pose[0]) - pose[2]
+    return abs((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+@compiled_part
+def _near(poses, speed, body, boxes, half, i, near):
+    """Write which boxes any motion may touch from a step on for LAST_LOOK; return how many."""
+    fastest = speed[:, i].max()
+    reach = body[0] + body[1] + body[2] + fastest * LAST_LOOK * FRAME_S
+    x_low, x_high = poses[:, i, 0].min() - reach, poses[:, i, 0].max() + reach
+    y_low, y_high = poses[:, i, 1].min() - reach, poses[:, i, 1].max() + reach
+    few = 0
+    for b in range(len(boxes)):
+        size = half[b, 0] + half[b, 1]
+        for look in (0, 3, 6, 9):
+            x, y = boxes[b, i + look, 0], boxes[b, i + look, 1]
+            if x_low - size <= x <= x_high + size and y_low - size <= y <= y_high + size:
+                near[few] = b
+                few += 1
+                break
+    return few
+
+
+@compiled
+def _touches(poses, speed, body, places, touched):
+    """Write to [2,N] which motions touch a place, and which do within LAST_LOOK steps."""
+    count, steps = speed.shape
+    for n in range(count):
+        for i in range(steps):
+            x, y = poses[n, i, 0], poses[n, i, 1]
+            cos, sin, v = np.cos(poses[n, i, 2]), np.sin(poses[n, i, 2]), speed[n, i]
+            if v < MOVES:
+                continue
+            most = v * LAST_LOOK * FRAME_S
+            for p in range(len(places)):
+                dx, dy = places[p, 0] - x, places[p, 1] - y
+                aside, ahead = abs(dy * cos - dx * sin), dx * cos + dy * sin - body[0]
+                if aside > body[2] or ahead < -body[1] or ahead > body[1] + most:
+                    continue
+                touched[1, n] = 1.0
+                if ahead <= body[1] and v > STOPPED:
+                    touched[0, n] = 1.0
+
+
+@compiled_part
+def _overlap(x, y, cos, sin, body, box, half):
+    """Whether a body with its middle at x, y overlaps a box."""
+    dx, dy = box[0] - x, box[1] - y
+    reach = body[1] + body[2] + half[0] + half[1]
+    if dx * dx + dy * dy > reach * reach:
+        return False
+    c, s = np.cos(box[2]), np.sin(box[2])
+    turned, tilted = abs(c * cos + s * sin), abs(s * cos - c * sin)
+    if abs(dx * cos + dy * sin) > body[1] + half[0] * turned + half[1] * tilted:
+        return False
+    if abs(dy * cos - dx * sin) > body[2] + half[0] * tilted + half[1] * turned:
+        return False
+    if abs(dx * c + dy * s) > half[0] + body[1] * turned + body[2] * tilted:
+        return False
+    return abs(dy * c - dx * s) <= half[1] + body[1] * tilted + body[2] * turned
