@@ -38,7 +38,7 @@ WALLS: dict[str, set[str]] = {
         "trajectory_msgs",
         "visualization_msgs",
     },
-    "anchorflow_driving": {"anchorflow_client", "numpy", "scipy"},
+    "anchorflow_driving": {"anchorflow_client", "anchorflow_trajectory", "numpy", "scipy"},
     "anchorflow_service": {
         "anchorflow_client",
         "anchorflow_trajectory",

@@ -34,7 +34,7 @@ def test_machine_code_of_another_numba_does_not_count(monkeypatch: pytest.Monkey
 
 def test_a_stage_that_there_is_not_is_refused() -> None:
     with pytest.raises(
-        SystemExit, match="expected stages of still, moving, poses, guard, got walking"
+        SystemExit, match="expected stages of still, moving, poses, guard, foresight, got"
     ):
         warm_up.main(["walking"])
 

@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from anchorflow_benchmarks import options
-from anchorflow_benchmarks.driving.open_loop import named_drivers, open_drivers
+from anchorflow_benchmarks.driving.open_loop import named_drivers, open_drivers, ways_to_drive
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_cli.options import folder_option
 from anchorflow_driving.drivers import DRIVERS, Driver
@@ -100,6 +100,7 @@ def drive_closed_loop(
     ] = ",".join(BASELINES),
     bundle: options.DrivingBundles = None,
     along_route: options.AlongRoute = False,
+    foreseeing: options.Foreseeing = False,
     late_ms: options.Late = None,
     num: options.Num = 64,
     threads: options.Threads = None,
@@ -115,9 +116,9 @@ def drive_closed_loop(
 ) -> None:
     """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
     chosen: dict[str, Driver] = named_drivers(options.comma_separated(drivers), BASELINES)
-    for driver in open_drivers(bundle or [], num=num, threads=threads):
-        for each in (driver, driver.along_route()) if along_route else (driver,):
-            chosen[each.name] = each
+    ours = open_drivers(bundle or [], num=num, threads=threads)
+    for each in ways_to_drive(ours, along_route=along_route, foreseeing=foreseeing):
+        chosen[each.name] = each
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)
     config = ClosedLoopConfig(seed=seed, length_m=length, seconds=seconds)

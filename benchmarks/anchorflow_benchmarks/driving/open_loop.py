@@ -119,6 +119,23 @@ def open_drivers(
     return drivers
 
 
+def ways_to_drive(
+    drivers: Sequence[BundleDriver], *, along_route: bool, foreseeing: bool, guarded: bool = False
+) -> list[BundleDriver]:
+    """Return each driver as it is, and as the options ask besides.
+
+    Raises `BenchmarkError` if one is to foresee and no bundle predicts the others.
+    """
+    if foreseeing and not any(driver.predicts for driver in drivers):
+        raise BenchmarkError("--foreseeing: expected a --bundle whose card has futures, got none")
+    ways = []
+    for driver in drivers:
+        plain = [driver, driver.along_route()] if along_route else [driver]
+        ways += plain + ([way.guarded() for way in plain] if guarded else [])
+        ways += [way.foreseeing() for way in plain if foreseeing and way.predicts]
+    return ways
+
+
 def named_drivers(names: Sequence[str], among: Mapping[str, Any] = ENTRIES) -> dict[str, Any]:
     """Return rule-based drivers by name. Raises `BenchmarkError` if a name is unknown."""
     for name in names:
@@ -375,13 +392,8 @@ def drive(
     chosen = named_drivers(options.comma_separated(drivers))
     asked = samplers.split(",")
     ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
-    if foreseeing and not any(driver.predicts for driver in ours):
-        raise BenchmarkError("--foreseeing: expected a --bundle whose card has futures, got none")
-    for driver in ours:
-        plain = [driver, driver.along_route()] if along_route else [driver]
-        ways = plain + ([way.guarded() for way in plain] if guarded else [])
-        ways += [way.foreseeing() for way in plain if foreseeing and way.predicts]
-        seeded = [way.seeded(seed) for way in ways for seed in seeds or [0]]
+    for way in ways_to_drive(ours, along_route=along_route, guarded=guarded, foreseeing=foreseeing):
+        seeded = [way.seeded(seed) for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
     for name, entry in list(chosen.items()):
         if late_ms and entry.times is PLAN_TIMES and name != "human":

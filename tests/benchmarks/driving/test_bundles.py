@@ -60,7 +60,7 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plans["trajectories"], chosen)
 
 
-def test_a_driver_that_foresees_asks_again_with_the_others_where_they_will_be() -> None:
+def test_a_driver_that_foresees_is_told_of_the_others_and_chooses_among_the_same() -> None:
     driver = opened()
     assert driver.predicts
     foreseeing, window = driver.foreseeing(), Scenes(bend(0))[0]
@@ -68,6 +68,7 @@ def test_a_driver_that_foresees_asks_again_with_the_others_where_they_will_be() 
     plain, foreseen = driver.propose(window), foreseeing.propose(window)
     assert plain.scores is not None
     assert foreseen.scores is not None
+    np.testing.assert_array_equal(plain.trajectories, foreseen.trajectories)
     # The leader drives on along the bend, and not into the field beside it.
     assert np.abs(plain.scores - foreseen.scores).max() > 1e-4
 

@@ -172,61 +172,73 @@ def _touched(poses, speed, body, boxes, half, stands, touched):
     """
     count, steps = speed.shape
     done = np.zeros((2, count, len(boxes)), np.bool_)
-    near = np.empty(len(boxes), np.int64)
+    near, reach = np.empty(len(boxes), np.int64), np.empty(len(boxes))
     for i in range(steps):
-        few = _near(poses, speed, body, boxes, half, i, near)
+        few = _near(poses, speed, body, boxes, half, i, near, reach)
         for n in range(count):
-            for b in near[:few]:
-                own = done[:, n, b]
-                if own[0] and own[1]:
+            if speed[n, i] < MOVES:
+                continue
+            for k in range(few):
+                b, most = near[k], reach[k] + speed[n, i] * LAST_LOOK * FRAME_S
+                dx, dy = boxes[b, i, 0] - poses[n, i, 0], boxes[b, i, 1] - poses[n, i, 1]
+                if dx * dx + dy * dy > most * most or (done[0, n, b] and done[1, n, b]):
                     continue
-                for look in (0, 3, 6, 9):
-                    if own[1] and look > 0:
-                        break
-                    beside = _contact(
-                        poses[n, i], speed[n, i], body, boxes[b, i + look], half[b], look
-                    )
-                    if beside < 0:
-                        continue
-                    if look == 0 and speed[n, i] > STOPPED and not own[0]:
-                        own[0] = True
-                        touched[0, n, b] = stands[b, i] or beside <= BEHIND
-                    if not own[1]:
-                        own[1] = True
-                        touched[1, n, b] = beside <= BEHIND
+                beside = _contact(poses, speed, body, boxes, half, n, i, b, 0)
+                if beside >= 0 and speed[n, i] > STOPPED and not done[0, n, b]:
+                    done[0, n, b] = True
+                    touched[0, n, b] = stands[b, i] or beside <= BEHIND
+                for look in (3, 6, 9):
+                    if beside < 0 and not done[1, n, b]:
+                        beside = _contact(poses, speed, body, boxes, half, n, i, b, look)
+                if beside >= 0 and not done[1, n, b]:
+                    done[1, n, b] = True
+                    touched[1, n, b] = beside <= BEHIND
 
 
 @compiled_part
-def _contact(pose, speed, body, box, half, look):
-    """The rad off the heading at which a moving car touches a box if it goes on for `look` steps;
-    -1 if it does not."""
-    if speed < MOVES:
-        return -1.0
-    cos, sin = np.cos(pose[2]), np.sin(pose[2])
-    way = body[0] + speed * look * FRAME_S
-    if not _overlap(pose[0] + way * cos, pose[1] + way * sin, cos, sin, body, box, half):
-        return -1.0
-    angle = np.arctan2(box[1] - pose[1], box[0] - pose[0]) - pose[2]
-    return abs((angle + np.pi) % (2 * np.pi) - np.pi)
-
-
-@compiled_part
-def _near(poses, speed, body, boxes, half, i, near):
-    """Write which boxes any motion may touch from a step on for LAST_LOOK; return how many."""
-    fastest = speed[:, i].max()
-    reach = body[0] + body[1] + body[2] + fastest * LAST_LOOK * FRAME_S
-    x_low, x_high = poses[:, i, 0].min() - reach, poses[:, i, 0].max() + reach
-    y_low, y_high = poses[:, i, 1].min() - reach, poses[:, i, 1].max() + reach
+def _near(poses, speed, body, boxes, half, i, near, reach):
+    """Write which boxes any motion may touch from a step on for LAST_LOOK, and the m from the rear
+    axle within which one that stands may; return how many."""
+    own = body[0] + body[1] + body[2]
+    x_low, x_high = poses[:, i, 0].min(), poses[:, i, 0].max()
+    y_low, y_high = poses[:, i, 1].min(), poses[:, i, 1].max()
+    fastest = speed[:, i].max() * LAST_LOOK * FRAME_S
     few = 0
     for b in range(len(boxes)):
-        size = half[b, 0] + half[b, 1]
-        for look in (0, 3, 6, 9):
-            x, y = boxes[b, i + look, 0], boxes[b, i + look, 1]
-            if x_low - size <= x <= x_high + size and y_low - size <= y <= y_high + size:
-                near[few] = b
-                few += 1
-                break
+        x, y = boxes[b, i, 0], boxes[b, i, 1]
+        moves = np.hypot(boxes[b, i + LAST_LOOK, 0] - x, boxes[b, i + LAST_LOOK, 1] - y)
+        most = own + half[b, 0] + half[b, 1] + moves
+        far = most + fastest
+        if x_low - far <= x <= x_high + far and y_low - far <= y <= y_high + far:
+            near[few], reach[few] = b, most
+            few += 1
     return few
+
+
+@compiled_part
+def _contact(poses, speed, body, boxes, half, n, i, b, look):
+    """The rad off the heading at which a car touches a box if it goes on for `look` steps; -1 if it
+    does not."""
+    heading = poses[n, i, 2]
+    cos, sin = np.cos(heading), np.sin(heading)
+    dx, dy = boxes[b, i + look, 0] - poses[n, i, 0], boxes[b, i + look, 1] - poses[n, i, 1]
+    ahead = dx * cos + dy * sin - body[0] - speed[n, i] * look * FRAME_S
+    aside = dy * cos - dx * sin
+    length, width = half[b, 0], half[b, 1]
+    if abs(ahead) + abs(aside) > 2 * (body[1] + body[2] + length + width):
+        return -1.0
+    turn = boxes[b, i + look, 2] - heading
+    c, s = np.cos(turn), np.sin(turn)
+    turned, tilted = abs(c), abs(s)
+    if abs(ahead) > body[1] + length * turned + width * tilted:
+        return -1.0
+    if abs(aside) > body[2] + length * tilted + width * turned:
+        return -1.0
+    if abs(ahead * c + aside * s) > length + body[1] * turned + body[2] * tilted:
+        return -1.0
+    if abs(aside * c - ahead * s) > width + body[1] * tilted + body[2] * turned:
+        return -1.0
+    return abs(np.arctan2(aside, dx * cos + dy * sin))
 
 
 @compiled
@@ -248,21 +260,3 @@ def _touches(poses, speed, body, places, touched):
                 touched[1, n] = 1.0
                 if ahead <= body[1] and v > STOPPED:
                     touched[0, n] = 1.0
-
-
-@compiled_part
-def _overlap(x, y, cos, sin, body, box, half):
-    """Whether a body with its middle at x, y overlaps a box."""
-    dx, dy = box[0] - x, box[1] - y
-    reach = body[1] + body[2] + half[0] + half[1]
-    if dx * dx + dy * dy > reach * reach:
-        return False
-    c, s = np.cos(box[2]), np.sin(box[2])
-    turned, tilted = abs(c * cos + s * sin), abs(s * cos - c * sin)
-    if abs(dx * cos + dy * sin) > body[1] + half[0] * turned + half[1] * tilted:
-        return False
-    if abs(dy * cos - dx * sin) > body[2] + half[0] * tilted + half[1] * turned:
-        return False
-    if abs(dx * c + dy * s) > half[0] + body[1] * turned + body[2] * tilted:
-        return False
-    return abs(dy * c - dx * s) <= half[1] + body[1] * tilted + body[2] * turned

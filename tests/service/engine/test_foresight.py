@@ -1,0 +1,76 @@
+"""GoalFlow that is told who else is there: the same trajectories, chosen by where they may go."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from anchorflow_client import AnchorBatch
+from anchorflow_client.sensors import OTHERS_TIMES_S, ego_status, others_before
+from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.local import LocalClient
+
+SPEED, LENGTH, WIDTH = 8.0, 4.6, 1.8
+
+
+@pytest.fixture(scope="module")
+def client() -> LocalClient:
+    return LocalClient.of(DEFAULT_BUNDLE.parent / "goalflow", threads=1)
+
+
+def scene(gap: float) -> dict[str, np.ndarray]:
+    """At SPEED behind a car that drives as fast on a street 12 m wide, as the raster has it."""
+    bev = np.zeros((20, 192, 128), np.uint8)
+    bev[0, :, 52:76] = 255
+    for channel, ahead_s in ((7, 0.0), *zip(range(11, 20), 0.5 * np.arange(1, 10), strict=True)):
+        rear = round((80.0 - gap - SPEED * ahead_s) / 0.5)
+        bev[channel, max(rear - 9, 0) : max(rear, 0), 62:66] = 255
+    status = ego_status(command="straight", velocity=(SPEED, 0.0), acceleration=(0.0, 0.0))
+    return {"bev": bev, "ego_status": status, "vehicle_size": np.array([LENGTH, WIDTH], np.float32)}
+
+
+def leader(gap: float, *, braking: float) -> np.ndarray:
+    times = np.array(OTHERS_TIMES_S)
+    states = np.zeros((1, len(times), 5))
+    states[0, :, 0] = gap + LENGTH / 2 + SPEED * times - braking / 2 * times**2
+    states[0, :, 3] = SPEED - braking * times
+    return others_before(states, np.array([[LENGTH, WIDTH]]), np.array([1]))
+
+
+def plan(client: LocalClient, inputs: dict[str, np.ndarray], **asked: Any) -> AnchorBatch:
+    return client.plan(inputs=inputs, seed=0, **asked)
+
+
+def test_others_change_the_scores_and_nothing_else(client: LocalClient) -> None:
+    own, others = scene(12.0), {"others": leader(12.0, braking=2.0)}
+    plain, told = plan(client, own), plan(client, own | others)
+    np.testing.assert_array_equal(plain.trajectories, told.trajectories)
+    assert (told.scores <= plain.scores).all()
+    assert not np.array_equal(told.scores, plain.scores)
+    assert set(told.arrays) == set(plain.arrays)
+    asked = plan(client, own | others, outputs=["futures"])
+    np.testing.assert_array_equal(told.scores, asked.scores)
+
+
+def test_behind_who_brakes_a_shorter_way_is_chosen(client: LocalClient) -> None:
+    own = scene(12.0)
+    ends = [plan(client, own | {"others": leader(12.0, braking=braking)}) for braking in (0.0, 3.0)]
+    steady, braking = (answer.trajectories[answer.best, -1, 0] for answer in ends)
+    assert braking < steady - 2.0
+
+
+def test_a_free_road_is_told_by_zeros(client: LocalClient) -> None:
+    own = scene(200.0)
+    answer = plan(client, own | {"others": np.zeros((48, 5, 8), np.float32)})
+    assert answer.trajectories[answer.best, -1, 0] > 3.5 * SPEED
+
+
+def test_the_guard_and_late_plans_go_with_it(client: LocalClient) -> None:
+    inputs = scene(12.0) | {"others": leader(12.0, braking=3.0)}
+    guarded = plan(client, inputs, refine={"guard": True})
+    assert guarded.safe.any()
+    late, alone = plan(client, inputs, delay_s=0.3), plan(client, inputs)
+    assert late.first_s == pytest.approx(0.8)
+    assert not np.array_equal(late.scores, alone.scores)
