@@ -1,23 +1,26 @@
-"""GoalFlow's adapter and the bundle that ships: the weights, the inputs, and scores that differ."""
+"""GoalFlow's adapter, a small bundle on features of one's own, and the bundle that ships."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
-from exported_bundles import export_once
+from exported_bundles import GOALFLOW, export_once
+from torch import Tensor, nn
 
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import ego_status
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.futures import others_spec
 from anchorflow_export.parity import prove_parity
-from anchorflow_export.planners.goalflow import WEIGHTS, goalflow_adapter
-from anchorflow_export.tracing import ExportError
+from anchorflow_export.planners.goalflow import WEIGHTS, bev_spec, goalflow_adapter
+from anchorflow_export.tracing import ExportError, random_tensor, trace
 from anchorflow_models.futures import FuturesConfig
-from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.config import ScoreWeights
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.local import LocalClient
@@ -55,22 +58,62 @@ def test_random_scenes_have_scores_that_differ() -> None:
     assert scores.max() > 1.1 * scores.min()
 
 
+def features() -> dict[str, np.ndarray]:
+    """The same car, on features."""
+    layout = GOALFLOW.bev
+    shape = (layout.channels, layout.rows, layout.columns)
+    bev = np.random.default_rng(0).standard_normal(shape, np.float32)
+    return {**street(), "bev": bev}
+
+
 @pytest.fixture(scope="module")
 def asked() -> LocalClient:
     """A small GoalFlow whose requests may bring goals and weights."""
     return LocalClient.of(export_once("goalflow").path, threads=1)
 
 
+def test_features_of_ones_own_are_served(asked: LocalClient) -> None:
+    card = asked.engine.card
+    assert (card.inputs[0].shape, card.finish.kind) == (("B", 64, 40, 27), "none")
+    anchors = asked.plan(inputs=features(), num_samples=8, seed=0)
+    assert anchors.trajectories.shape == (8, GOALFLOW.num_steps, 3)
+    assert anchors.first_s == pytest.approx(GOALFLOW.dt)
+    with pytest.raises(InvalidRequest, match=r"bev.*64"):
+        asked.plan(inputs={**features(), "bev": features()["bev"][:20]}, num_samples=8)
+
+
+class Surfaces(nn.Module):
+    """What a graph makes of the raster alone."""
+
+    def __init__(self, model: GoalFlow) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, bev: Tensor) -> tuple[Tensor, ...]:
+        cells = self.model.cells(bev)
+        return cells, *self.model.surfaces(cells)
+
+
+def test_a_drawn_raster_is_read_as_torch_reads_it() -> None:
+    surfaces = Surfaces(GoalFlow(replace(GOALFLOW, bev=BevLayout(rows=40, columns=27))))
+    spec = bev_spec(surfaces.model.config.bev)
+    graph = trace(surfaces, inputs=[spec], outputs=("cells", "drivable", "occupied"))
+    bev = random_tensor(spec, {"B": 3})
+    session = onnxruntime.InferenceSession(graph.model.SerializeToString())
+    for got, wanted in zip(session.run(None, {"bev": bev.numpy()}), surfaces(bev), strict=True):
+        np.testing.assert_allclose(np.asarray(got), wanted.numpy(), rtol=1e-6)
+
+
 def test_trajectories_are_drawn_to_the_goals_of_a_request_in_turn(asked: LocalClient) -> None:
     for count in (1, 3):
         told = asked.plan(
-            inputs={**street(), "goal": GOALS[:count]}, num_samples=6, outputs=OWN, seed=0
+            inputs={**features(), "goal": GOALS[:count]}, num_samples=6, outputs=OWN, seed=0
         )
         np.testing.assert_array_equal(told.arrays[OWN[0]], np.resize(GOALS[:count], (6, 2)))
-    plain = asked.plan(inputs=street(), num_samples=6, outputs=OWN, seed=0)
+    plain = asked.plan(inputs=features(), num_samples=6, outputs=OWN, seed=0)
     assert {"goal", "score_weights", "route"} == {*plain.absent_inputs}
     assert len({*map(tuple, plain.arrays[OWN[0]].tolist())}) == 6
-    two = {name: np.stack([array, array]) for name, array in street().items()}
+    two = {name: np.stack([array, array]) for name, array in features().items()}
     own = np.stack([GOALS, 0 * GOALS])  # the second has none
     both = asked.plan(inputs={**two, "goal": own}, num_samples=6, outputs=OWN, seed=0)
     np.testing.assert_array_equal(both.arrays[OWN[0]][0], np.resize(GOALS, (6, 2)))
@@ -98,7 +141,7 @@ def test_the_weights_that_ship_end_at_their_own_goal() -> None:
 def test_a_score_has_the_weights_of_the_export_or_of_the_request(asked: LocalClient) -> None:
     def scores(**weights: float) -> np.ndarray:
         row = np.array([{**vars(ScoreWeights()), **weights}[name] for name in WEIGHTS], np.float32)
-        inputs = {**street(), **({"score_weights": row} if weights else {})}
+        inputs = {**features(), **({"score_weights": row} if weights else {})}
         return asked.plan(inputs=inputs, num_samples=16, seed=0).scores
 
     own = scores()
@@ -122,6 +165,7 @@ def test_the_bundle_that_ships_takes_what_the_adapter_says() -> None:
     manifest = load_bundle(SHIPPED).manifest
     others = others_spec(FuturesConfig())  # of the graph beside
     assert manifest.request.inputs == (*adapter.parts.inputs, others)
+    assert (manifest.finish, manifest.time) == (adapter.parts.finish, adapter.parts.time)
     assert manifest.graphs["encode"].inputs == adapter.parts.inputs
 
 

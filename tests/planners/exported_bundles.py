@@ -29,10 +29,13 @@ from torch import nn
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, SamplerChoice
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
+from anchorflow_export.futures import add_futures
 from anchorflow_export.parity import Difference
 from anchorflow_export.planners import adapter_of
 from anchorflow_models import L2Config, create_l2_safety_cfm
-from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.futures import FuturesConfig, FuturesNetwork
+from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig
+from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_trajectory.motion import MotionLimits
 
 ROOT = Path(__file__).parents[2]
@@ -48,9 +51,11 @@ DIFFUSION = replace(
     imitation=0.1,
     pessimistic=True,
 )
-# Ways along a route are a loop over the steps, which a trace unrolls: two are enough.
+# Ways along a route are a loop over the steps, which a trace unrolls: two are enough. It looks at
+# features of one's own; tests/export/test_goalflow.py proves what a drawn raster has instead.
 GOALFLOW = GoalFlowConfig(
     num_steps=2,
+    bev=BevLayout(64, 40, 27, (-4.0, 36.0, -13.5, 13.5), "float32"),
     goals=16,
     picked=5,
     width=16,
@@ -62,7 +67,7 @@ GOALFLOW = GoalFlowConfig(
 # Of two sweeps of the LiDAR; its rollout is unrolled too.
 WOTE = replace(
     tiny_wote.TINY,
-    num_steps=3,
+    num_steps=2,
     kept=5,
     driven=True,
     backbone=replace(tiny_wote.TINY.backbone, lidar_before=True),
@@ -76,6 +81,7 @@ CHOICES = {
     ),
     "goalflow": ExportChoices(goal_inputs=True),
 }
+PREDICTING = "goalflow-futures"
 
 
 def untaught(**options: Any) -> nn.Module:
@@ -120,8 +126,16 @@ class Exported:
     differences: tuple[Difference, ...]
 
 
+def small_futures() -> FuturesNetwork:
+    """A small network that predicts the others for the GoalFlow that ships."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return FuturesNetwork(FuturesConfig(width=16, map_channels=4))
+
+
 def export_once(network: str) -> Exported:
-    """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`.
+    """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`; as PREDICTING, put a
+    small network that predicts the others into the GoalFlow that ships.
 
     All workers share the export, and wait for one another. It is kept in .pytest_cache until the
     code that it comes from changes.
@@ -143,19 +157,26 @@ def _digest() -> str:
 
 @cache
 def _exported(network: str, folder: Path) -> Exported:
-    planner, out = network.partition("-")[0], folder / network / "bundle"
-    name = f"small-{network.replace('_', '-')}"
-    description = BundleDescription(name=name, version="1.0.0", planner=planner)
+    out = folder / network / "bundle"
     folder.mkdir(parents=True, exist_ok=True)
     for other in folder.parent.iterdir():
         if other != folder:  # of code that has changed
             shutil.rmtree(other, ignore_errors=True)
     with small_sizes(), (folder / f"{network}.json").open("a+") as record:
-        made = NETWORKS[network]()
+        made = small_futures() if network == PREDICTING else NETWORKS[network]()
         flock(record, LOCK_EX)
         record.seek(0)
         if not (text := record.read()):
-            adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
-            text = json.dumps([*map(asdict, export_bundle(adapter, description, out=out))])
+            text = json.dumps([*map(asdict, _export(network, made, out))])
             record.write(text)
     return Exported(made, out, tuple(Difference(**each) for each in json.loads(text)))
+
+
+def _export(network: str, made: Any, out: Path) -> tuple[Difference, ...]:
+    if network == PREDICTING:
+        shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", out)
+        return add_futures(made, out, training={"steps": 3}, version="9.0.0")
+    planner, name = network.partition("-")[0], f"small-{network.replace('_', '-')}"
+    adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
+    description = BundleDescription(name=name, version="1.0.0", planner=planner)
+    return export_bundle(adapter, description, out=out)

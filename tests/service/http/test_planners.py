@@ -1,6 +1,7 @@
 """What every planner without a cost map promises, whatever carries its requests.
 
-A camera planner worked out by hand, a small GoalFlow and a small WoTE, over JSON, binary and zenoh.
+A camera planner worked out by hand, the GoalFlow that ships and a small WoTE, over JSON, binary and
+zenoh.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 import pytest
 import torch
 from driven_bend import bend
-from exported_bundles import GOALFLOW, WOTE, export_once
+from exported_bundles import WOTE, export_once
 from image_planner import HEIGHT, WIDTH, K, expected, write_image_bundle
 from served import TRANSPORTS, client_over
 from tiny_wote import sensors, tiny_wote
@@ -30,9 +31,8 @@ from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes
-from anchorflow_export.futures import add_futures
-from anchorflow_models.futures import FuturesConfig, FuturesNetwork
-from anchorflow_service.bundle import BundleError, load_bundle
+from anchorflow_models.goalflow import GoalFlowConfig
+from anchorflow_service.bundle import DEFAULT_BUNDLE, BundleError, load_bundle
 from anchorflow_service.engine.samplers import SAMPLERS
 from anchorflow_service.local import LocalClient
 from anchorflow_service.planning import PlanningService, ServiceLimits
@@ -97,18 +97,12 @@ def camera_planner(factory: pytest.TempPathFactory) -> Planner:
     )
 
 
-def goalflow_planner(factory: pytest.TempPathFactory) -> Planner:
-    made = export_once("goalflow")
-    assert max(difference.error for difference in made.differences) < 1e-4
-    path = factory.mktemp("goalflow") / "bundle"
-    shutil.copytree(made.path, path)
-    predicts = FuturesNetwork(FuturesConfig(num_steps=GOALFLOW.num_steps, width=16))
-    add_futures(predicts, path, training={})
+def goalflow_planner(_: pytest.TempPathFactory) -> Planner:
+    path = DEFAULT_BUNDLE.parent / "goalflow"
     options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
-    extras, steps = ("goals", "goal_scores", "trajectory_goals"), GOALFLOW.num_steps
-    extras += (FUTURES, FUTURE_PROBABILITIES)
-    optional = ("route", "goal", "score_weights", "others")
-    return Planner(path, goalflow_scene, extras, "ode", steps, "guard", optional, options)
+    extras = ("goals", "goal_scores", FUTURES, FUTURE_PROBABILITIES)
+    optional = ("route", "others")
+    return Planner(path, goalflow_scene, extras, "ode", 8, "guard", optional, options)
 
 
 def wote_planner(_: pytest.TempPathFactory) -> Planner:
@@ -327,7 +321,8 @@ def test_the_cameras_answer_is_the_one_worked_out_by_hand(
 @of("goalflow")
 def test_noise_makes_draws_to_one_goal_differ(planner: Planner) -> None:
     # Ways are dealt out in turn, those to goals first; turns and halts, which no noise moves, last.
-    again, once = GOALFLOW.picked, GOALFLOW.ways - GOALFLOW.along
+    config = GoalFlowConfig(picked=31)
+    again, once = config.picked, config.ways - config.along
     asked: dict[str, Any] = {"inputs": planner.scene(0), "num_samples": once + again}
     first, second = (planner.local.plan(**asked, seed=seed).trajectories for seed in (1, 2))
 
@@ -341,7 +336,7 @@ def test_noise_makes_draws_to_one_goal_differ(planner: Planner) -> None:
 def test_goalflow_scores_are_probabilities_of_its_goals(planner: Planner) -> None:
     answer = planner.local.plan(**planner.all)
 
-    assert answer.arrays["goals"].shape == (GOALFLOW.goals, 2)
+    assert answer.arrays["goals"].shape == (GoalFlowConfig().goals, 2)
     assert ((answer.scores >= 0) & (answer.scores <= 1)).all()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import failure, succeed
+from exported_bundles import GOALFLOW, export_once
 
-from anchorflow_client.errors import InvalidRequest
 from anchorflow_driving.errors import LogError
+from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.planners.goalflow import goalflow_adapter
 from anchorflow_service.bundle import load_bundle
-from anchorflow_service.local import LocalClient
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.driving.feature_windows import open_features
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
@@ -24,7 +26,7 @@ CHANNELS, ROWS, COLUMNS, POSES = 64, 40, 27, 2
 EXTENT = (-4.0, 36.0, -13.5, 13.5)  # m, a cell of 1 m
 DT, SPEED = 0.5, 14.0
 WINDOWS = 12
-SMALL = {"goals": 8, "picked": 2, "width": 16, "layers": 1, "channels": 8, "feature_channels": 4}
+SMALL = {"goals": 16, "picked": 5, "width": 16, "layers": 1, "channels": 8, "feature_channels": 4}
 
 
 def arrays(number: int) -> dict[str, Any]:
@@ -80,29 +82,17 @@ def test_it_learns_where_a_channel_is_bright(features: Path, tmp_path: Path) -> 
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
 
 
-def test_trained_exported_and_served_by_commands(features: Path, tmp_path: Path) -> None:
-    run, bundle = tmp_path / "run", tmp_path / "bundle"
+def test_a_command_trains_what_is_exported_and_served(features: Path, tmp_path: Path) -> None:
+    """tests/export exports and serves a network of this configuration."""
     small = ((f"--model.{name.replace('_', '-')}", value) for name, value in SMALL.items())
     words = ["--steps", 2, "--scenes", 4, "--held-out", 3, "--no-tensorboard", *chain(*small)]
-    succeed("train", features, "--planner", "goalflow", "--out", run, *words)
-    config = restore_model(load_checkpoint(run / "checkpoint.pt")).config
-    assert (config.num_steps, config.dt, config.bev.channels) == (POSES, DT, CHANNELS)
-    succeed("export", run / "checkpoint.pt", "--out", bundle)
-    manifest = load_bundle(bundle).manifest
-    assert manifest.request.inputs[0].shape == ("B", CHANNELS, ROWS, COLUMNS)
-    assert manifest.finish.kind == "none"
-    one = arrays(0)
-    inputs = {
-        "bev": one["bev"].astype(np.float32),
-        "ego_status": one["ego"],
-        "vehicle_size": np.array([4.6, 1.9], np.float32),
-    }
-    with LocalClient.of(bundle, threads=1) as client:
-        anchors = client.plan(inputs=inputs, num_samples=8, seed=0)
-        assert anchors.trajectories.shape == (8, POSES, 3)
-        assert anchors.first_s == pytest.approx(DT)
-        with pytest.raises(InvalidRequest, match=r"bev.*64"):
-            client.plan(inputs={**inputs, "bev": inputs["bev"][:20]}, num_samples=8)
+    succeed("train", features, "--planner", "goalflow", "--out", tmp_path, *words)
+    model = restore_model(load_checkpoint(tmp_path / "checkpoint.pt"))
+    assert model.config == replace(GOALFLOW, outcomes=False)
+    parts = goalflow_adapter(model, ExportChoices(goal_inputs=True)).parts
+    manifest = load_bundle(export_once("goalflow").path).manifest
+    assert (manifest.request.inputs, manifest.finish) == (parts.inputs, parts.finish)
+    assert (manifest.time, manifest.answer) == (parts.time, parts.answer)
 
 
 @pytest.mark.parametrize(
