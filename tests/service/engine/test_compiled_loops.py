@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import gc
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,12 @@ EVERYTHING = {"project": True, "barrier": True, "guidance": 0.5, "certified_marg
 
 def variants() -> dict[str, int]:
     """How many types each of this project's loops is compiled for."""
+    modules = [each for name, each in [*sys.modules.items()] if name.startswith("anchorflow_")]
     # Compare types: `isinstance` would load modules that are imported lazily.
-    found = (each for each in gc.get_objects() if issubclass(type(each), Dispatcher))
+    found = (each for module in modules for each in vars(module).values())
+    found = (each for each in found if issubclass(type(each), Dispatcher))
     return {
-        f"{each.py_func.__module__}.{each.py_func.__name__}": len(each.overloads)
-        for each in found
-        if each.py_func.__module__.startswith("anchorflow_")
+        f"{each.py_func.__module__}.{each.py_func.__name__}": len(each.overloads) for each in found
     }
 
 
