@@ -26,7 +26,7 @@ from anchorflow_client.oip_message import nest, unpack_header, unpack_tensors
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ConsoleMessage, Page, Request, Response
+    from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, Response
 
 CHROMIUM_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 CHROMIUM_FLAGS = (
@@ -35,6 +35,7 @@ CHROMIUM_FLAGS = (
     "--disable-gpu",
     "--disable-background-networking",
 )
+DESK: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}}
 # The service and the browser may share a core with other processes.
 PATIENCE_S = 60
 MAP_M = 9.6
@@ -293,24 +294,42 @@ def answered_in(response: Response) -> Any:
     return json.loads(JsonCodec().encode_answer(batch).body)
 
 
-@pytest.fixture
-def open_page(browser: Browser, served: Served) -> Iterator[Callable[..., Visit]]:
-    """Open the page in a browser context of its own, with options of Playwright."""
-    contexts = []
+def new_context(browser: Browser, **options: Any) -> BrowserContext:
+    context = browser.new_context(**DESK | options)
+    context.set_default_timeout(1e3 * PATIENCE_S)
+    return context
 
-    def open_with(url: str = served.url, *, at_once: bool = True, **options: Any) -> Visit:
-        desk: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}}
-        context = browser.new_context(**desk | options)
-        context.set_default_timeout(1e3 * PATIENCE_S)
-        contexts.append(context)
-        visit = Visit(context.new_page(), url)
+
+@pytest.fixture(scope="module")
+def desk(browser: Browser) -> Iterator[BrowserContext]:
+    """A context on a desktop, whose pages share files but no session."""
+    context = new_context(browser)
+    yield context
+    context.close()
+
+
+@pytest.fixture
+def open_page(
+    browser: Browser, desk: BrowserContext, served: Served
+) -> Iterator[Callable[..., Visit]]:
+    """Open the page on the desktop, or in a context of its own, with options of Playwright."""
+    opened: list[Page | BrowserContext] = []
+
+    def open_with(
+        url: str = served.url, *, at_once: bool = True, own: bool = False, **options: Any
+    ) -> Visit:
+        context = new_context(browser, **options) if own or options else desk
+        page = context.new_page()
+        opened.append(page if context is desk else context)
+        visit = Visit(page, url)
         if at_once:
             visit.open()
         return visit
 
     yield open_with
-    for context in contexts:
-        context.close()
+    for each in opened:
+        each.close()
+    desk.clear_permissions()
 
 
 @pytest.fixture

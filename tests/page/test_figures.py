@@ -16,7 +16,7 @@ FIRST_LOAD_BYTES = 300 * 1000
 
 
 def test_the_first_load_with_its_first_answer_is_small(open_page: Callable[..., Any]) -> None:
-    visit = open_page()
+    visit = open_page(own=True)  # with no file at hand
     visit.wait_for_anchors()
     finished = [request for request in visit.requests if request.response().ok]
     sizes = {request.url: request.sizes() for request in finished}
