@@ -115,9 +115,20 @@ def wote_planner(_: pytest.TempPathFactory) -> Planner:
 PLANNERS = {"camera": camera_planner, "goalflow": goalflow_planner, "wote": wote_planner}
 
 
+@pytest.fixture(scope="module")
+def opened() -> dict[str, Planner]:
+    return {}
+
+
 @pytest.fixture(scope="module", params=PLANNERS)
-def planner(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Planner:
-    return PLANNERS[request.param](tmp_path_factory)
+def planner(
+    request: pytest.FixtureRequest,
+    opened: dict[str, Planner],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Planner:
+    if request.param not in opened:
+        opened[request.param] = PLANNERS[request.param](tmp_path_factory)
+    return opened[request.param]
 
 
 @pytest.fixture(scope="module", params=TRANSPORTS)
