@@ -42,7 +42,8 @@ HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
 SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the reference time off
-LONGER_STEPS, MOST_LONGER = 150, 8
+LONGER_STEPS, MOST_LONGER, MOST_BESIDE = 150, 8, 2
+POLISH = OptimisationPass(RESTART_STEPS, RESTART_RATE, shares=HURRIED)
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 DODGE = OptimisationPass(60, RESTART_RATE, slowed_after=True)  # where no anchor is safe
 # Share of v_max that ways over places and times reach, and m that they keep from what moves, where
@@ -81,7 +82,7 @@ class Refiner:
         cost = self.cost(spec)
         splines = self.fitted(states)
         field = scene.cost_fields.clearance
-        certified = spec.certified_margin if self._attainable(spec, field) else 0.0
+        certified = spec.certified_margin if self._attainable(spec.certified_margin) else 0.0
         barrier = self._barrier(field, certified) if spec.barrier else None
         if spec.project:
             cost, splines = self._project(cost, splines, route, certified, barrier)
@@ -224,7 +225,7 @@ class Refiner:
             lost = lost[:0]
             if not len(sound):
                 splines, safe = self._dodged(splines, safe, cost, certified, barrier)
-        if len(lost):
+        if len(lost) and self._attainable(certified):
             restart = Reinitialisation(splines, safe.copy(), route, lost)
             cost = self._reinitialise(restart, cost, certified, barrier)
             splines, safe = restart.splines, restart.safe
@@ -286,7 +287,8 @@ class Refiner:
         cost, barrier = replace(cost, basis=finer), barrier and replace(barrier, basis=finer)
         self._try_starts(restart, cost, certified, barrier)
         if len(restart.lost):
-            motion, nearest = self.scene.motion, restart.nearest(MOST_LONGER)
+            most = MOST_BESIDE if restart.safe.any() else MOST_LONGER
+            motion, nearest = self.scene.motion, restart.nearest(most)
             reach = min(max(motion.v_max**2 / motion.a_max / TURN, 1.0), MOST_REACH)
             longer = OptimisationPass(LONGER_STEPS, reach * RESTART_RATE, slowed_after=True)
             self._try(longer, restart, nearest, cost, certified, barrier)
@@ -322,7 +324,26 @@ class Refiner:
         splines, along = begun
         tried, safe = self._optimised(optimisation, cost, splines, certified, barrier)
         gained = safe & self._on_route(tried, cost.basis, along)
+        tried = self._polished(tried, along, gained, cost, certified, barrier)
         restart.take(tried, along, gained, cost.value(tried))
+
+    def _polished(
+        self,
+        tried: Splines,
+        along: NDArray[np.intp],
+        gained: BoolArray,
+        cost: TrajectoryCost,
+        certified: float,
+        barrier: ControlBarrier | None,
+    ) -> Splines:
+        """Descend on from what was gained [M], where that is safe, on its route, and cheaper."""
+        kept = np.flatnonzero(gained)
+        if not len(kept):
+            return tried
+        found, safe = self._optimised(POLISH, cost, tried[kept], certified, barrier)
+        better = safe & self._on_route(found, cost.basis, along[kept])
+        better &= cost.value(found) < cost.value(tried[kept])
+        return tried.replaced(kept[better], found[better])
 
     def _has_any(self, route: NDArray[np.intp]) -> BoolArray:
         """Return which of the scene's R routes occur in `route`: [R]."""
@@ -384,8 +405,9 @@ class Refiner:
             self.scene.basis, field, required_clearance(field, certified) + BETWEEN
         )
 
-    def _attainable(self, spec: Refinement, field: GridField) -> bool:
-        """Whether both ends keep the certified margin; if not, the projection runs without one."""
-        required = required_clearance(field, spec.certified_margin)
+    def _attainable(self, certified: float) -> bool:
+        """Whether both ends keep the certified margin: if not, no anchor does."""
+        field = self.scene.cost_fields.clearance
         ends = np.stack([self.scene.x_curr[:2], self.scene.x_goal[:2]])
-        return bool((path_clearance(field, ends[:, None]) >= required).all())
+        kept = path_clearance(field, ends[:, None]) >= required_clearance(field, certified)
+        return bool(kept.all())

@@ -20,9 +20,9 @@ Starts = tuple[Splines, NDArray[np.intp]]
 
 SLOW_STRETCH = 1.5
 """Factor on the duration of a slow copy of a fitted spline."""
-STRETCHES = (1.0, 1.5, 2.0, 3.0)
-"""Durations of starts, in multiples of the least time for the shortest route."""
-DWELLS = (0.0, 0.3, 0.5, 0.7)
+STRETCHES = (1.5, 3.0)
+"""Durations of starts, in multiples of the least time for the shortest route; less seldom helps."""
+DWELLS = (0.3, 0.5)
 """Shares of the duration spent at the route's corners."""
 BEND = 0.025
 """Standard deviation of that time about a corner, in shares of the route's length."""
@@ -90,9 +90,9 @@ def new_starts(
 ) -> Iterator[Starts]:
     """Yield starts for the `lost` routes, the cheapest to compute first.
 
-    In turn: the route's own spline, driven slowly, if it has this basis; the smoothest curve
-    between both ends, for braking; control points on the route, dense at its corners because a
-    B-spline stays in the hulls of five successive points; and both along a route with more room.
+    In turn: the route's own spline, driven slowly, if it has this basis; splines along a route with
+    more room; the smoothest curve between both ends, for braking; and control points on the route,
+    dense at its corners because a B-spline stays in the hulls of five successive points.
 
     basis: of the splines
     certified_margin: m, with which no anchor was safe
@@ -100,14 +100,16 @@ def new_starts(
     if basis is scene.basis:
         yield _slowed(scene, basis, scene.route_splines[lost], SLOW_STRETCH), lost
     routes = {int(place): scene.routes[place] for place in lost if place < len(scene.routes)}
-    resting = _resting(scene, basis, certified_margin)
-    rest = np.zeros(len(resting), np.intp)
-    yield _joined([*((resting, rest + place) for place in lost), *_along(scene, basis, routes)])
     roomy = {route.signature: route for route in scene.routes_with(ROOM + certified_margin)}
     found = {place: roomy.get(route.signature) for place, route in routes.items()}
     again = {place: route for place, route in found.items() if route is not None}
     if again:
         yield _joined([*_paced(scene, basis, again), *_along(scene, basis, again)])
+    resting = _resting(scene, basis, certified_margin)
+    rest = np.zeros(len(resting), np.intp)
+    along = _along(scene, basis, routes if basis.finer is None else {})
+    if len(resting) or basis.finer is None:
+        yield _joined([*((resting, rest + place) for place in lost), *along])
 
 
 def _along(scene: Scene, basis: SplineBasis, routes: Mapping[int, Route]) -> Iterator[Starts]:
