@@ -19,6 +19,7 @@ from anchorflow_trajectory.compiled import compiled, compiled_part
 SMALL_BULGE = 0.01  # m from the chord of two samples, beyond which a leg is cut
 MOST_PIECES = 64  # of a leg
 UNEVEN = 0.1  # of that unevenness, which a spline of degree 4 leaves the piece by, at most
+ROUNDING = 1e-3  # m, where legs are passed over
 BENT = 1.25  # the second derivative inside a leg over that at its ends, at most
 
 
@@ -72,11 +73,14 @@ class MovingDiscs:
 class Discs(NamedTuple):
     """Moving discs as compiled loops read them, numbers of one type; see `MovingDiscs`.
 
+    pace: [M] m/s, at which each moves or grows towards anything at most
+
     Where nothing moves, loops get None: they are compiled for that type too, without the discs.
     """
 
     places: FloatArray
     radius: FloatArray
+    pace: FloatArray
     step: np.floating
     growth: np.floating
 
@@ -86,7 +90,10 @@ class Discs(NamedTuple):
         if (made := movers.made.get(dtype)) is None:
             places = np.ascontiguousarray(movers.places, dtype)
             numbers = np.array([movers.step_s, movers.growth], dtype)
-            made = movers.made[dtype] = Discs(places, movers.radius.astype(dtype), *numbers)
+            legs = np.linalg.norm(np.diff(movers.places, axis=1), axis=-1)
+            pace = legs.max(1, initial=0.0) / movers.step_s + movers.growth
+            radius, pace = movers.radius.astype(dtype), pace.astype(dtype)
+            made = movers.made[dtype] = Discs(places, radius, pace, *numbers)
         return made
 
 
@@ -113,30 +120,45 @@ def moving_clearance(
     if discs is None:
         return most
     steps, least, legs = len(path), most, discs.places.shape[1] - 1
-    stride, bulge = duration / (steps - 1), np.empty(steps)
+    stride, bulge, off = duration / (steps - 1), np.empty(steps), np.zeros(steps)
+    longest, widest = 0.0, 0.0
     for t in range(1, steps):
         bulge[t] = _bulge(path, t)
         if not np.isfinite(bulge[t]):
             return -np.inf
+        if legs > 1 or bulge[t] > SMALL_BULGE:
+            off[t] = UNEVEN * _unevenness(path, t)
+        widest = max(widest, bulge[t] + off[t])
+        longest = max(longest, np.hypot(path[t, 0] - path[t - 1, 0], path[t, 1] - path[t - 1, 1]))
     for j in range(len(discs.radius)):
-        speed_x = (discs.places[j, 1, 0] - discs.places[j, 0, 0]) / discs.step
-        speed_y = (discs.places[j, 1, 1] - discs.places[j, 0, 1]) / discs.step
-        x, y = path[0, 0] - discs.places[j, 0, 0], path[0, 1] - discs.places[j, 0, 1]
-        for t in range(1, steps):
+        nearer, t = longest + discs.pace[j] * stride, 1
+        while t < steps:
+            x, y = _place_from(discs, j, path, t - 1, stride)
+            gap = np.hypot(x, y) - discs.radius[j] - discs.growth * ((t - 1) * stride)
+            # Legs in which the two cannot come nearer than the least so far are passed over.
+            passed = (gap - least - widest - ROUNDING) / nearer
+            if passed >= 1.0:
+                t += int(min(passed, steps))
+                continue
             if legs > 1 or bulge[t] > SMALL_BULGE:
-                least = min(least, _bent_clearance(discs, j, path, t, stride, bulge[t]))
-            to_x = path[t, 0] - discs.places[j, 0, 0] - speed_x * (t * stride)
-            to_y = path[t, 1] - discs.places[j, 0, 1] - speed_y * (t * stride)
-            if legs == 1 and bulge[t] <= SMALL_BULGE:
+                least = min(least, _bent_clearance(discs, j, path, t, stride, bulge[t], off[t]))
+            else:
+                to_x, to_y = _place_from(discs, j, path, t, stride)
                 radius = discs.radius[j] + discs.growth * (t * stride) + bulge[t]
-                far = radius + least
-                beside = min(x, to_x) > far or max(x, to_x) < -far
-                if not (beside or min(y, to_y) > far or max(y, to_y) < -far):
-                    least = min(least, _least_length(x, y, to_x, to_y) - radius)
+                least = min(least, _least_length(x, y, to_x, to_y) - radius)
             if not least >= enough:
                 return least
-            x, y = to_x, to_y
+            t += 1
     return least
+
+
+@compiled_part
+def _place_from(
+    discs: Discs, j: int, path: FloatArray, t: int, stride: float
+) -> tuple[float, float]:
+    """x and y of sample t as seen from disc j, samples `stride` s apart."""
+    x, y = place_at(discs, j, t * stride)
+    return path[t, 0] - x, path[t, 1] - y
 
 
 @compiled_part
@@ -154,14 +176,14 @@ def _bulge(path: FloatArray, t: int) -> float:
 
 @compiled_part
 def _bent_clearance(
-    discs: Discs, j: int, path: FloatArray, t: int, stride: float, bulge: float
+    discs: Discs, j: int, path: FloatArray, t: int, stride: float, bulge: float, off: float
 ) -> float:
     """Return the same for one leg and one disc, cut into pieces that are nearly straight.
 
     In between the second derivative is linear, as in the certificate of what stands still, up to
-    what the second differences tell by their own.
+    `off`, which the second differences tell by their own.
     """
-    steps, least, off = len(path), np.inf, UNEVEN * _unevenness(path, t)
+    steps, least = len(path), np.inf
     here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
     pieces = int(min(max(np.ceil(np.sqrt(bulge / SMALL_BULGE)), 1), MOST_PIECES))
     x, y = path[t - 1, 0], path[t - 1, 1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -57,6 +57,7 @@ class Grid(NamedTuple):
 
     first_x, first_y: of cell (0, 0), in cells from the frame's origin
     left, bottom: 0; right, top: W - 1, H - 1. Without a field, values are [0, 0].
+    steepest: the most by which the field changes over a metre in any direction
     """
 
     values: NDArray[np.float32]
@@ -68,6 +69,7 @@ class Grid(NamedTuple):
     right: np.floating
     bottom: np.floating
     top: np.floating
+    steepest: np.floating
 
     @staticmethod
     def of(field: GridField | None, dtype: DTypeLike) -> Grid:
@@ -84,13 +86,15 @@ class Grid(NamedTuple):
         x, y = np.asarray(field.origin) / field.resolution + 0.5
         # Cell positions are rounded to float32 for every dtype, so that all see the same map.
         numbers = np.array([1.0 / field.resolution, field.resolution, x, y], np.float32)
-        bounds = np.array([0.0, width - 1.0, 0.0, height - 1.0], dtype)
+        rise = [np.abs(np.diff(field.values, axis=axis)).max(initial=0.0) for axis in (0, 1)]
+        steepest = np.hypot(*np.maximum(np.array(rise) / field.resolution, 1.0))
+        bounds = np.array([0.0, width - 1.0, 0.0, height - 1.0, steepest], dtype)
         return Grid(np.ascontiguousarray(field.values, np.float32), *numbers.astype(dtype), *bounds)
 
 
 @cache
 def _nowhere(dtype: np.dtype) -> Grid:
-    return Grid(np.zeros((0, 0), np.float32), *np.zeros(8, dtype))
+    return Grid(np.zeros((0, 0), np.float32), *np.zeros(9, dtype))
 
 
 @compiled_part
@@ -99,19 +103,72 @@ def look_up(grid: Grid, x: float, y: float) -> tuple[float, float, float]:
 
     As `GridField` does: bilinear, and beyond the outermost centres falling by one metre a metre.
     """
+    (row, column, above, after), parts = _cell(grid, x, y)
+    values = grid.values
+    corners = values[row, column], values[row, after], values[above, column], values[above, after]
+    return _between(grid, corners, parts)
+
+
+@compiled_part
+def look_up_lanes(
+    grid: Grid, x: FloatArray, y: FloatArray, lanes: int, found: FloatArray, room: Room
+) -> None:
+    """Write the same at [LANES] places as [3, LANES]: vectors but for the reading of the cells."""
+    cells, corners, parts = room
+    for m in range(lanes):
+        (row, column, above, after), (right, up, over_u, over_v) = _cell(grid, x[m], y[m])
+        cells[0, m], cells[1, m], cells[2, m], cells[3, m] = row, column, above, after
+        parts[0, m], parts[1, m], parts[2, m], parts[3, m] = right, up, over_u, over_v
+    for m in range(lanes):
+        row, column, above, after = cells[0, m], cells[1, m], cells[2, m], cells[3, m]
+        corners[0, m], corners[1, m] = grid.values[row, column], grid.values[row, after]
+        corners[2, m], corners[3, m] = grid.values[above, column], grid.values[above, after]
+    for m in range(lanes):
+        found[0, m], found[1, m], found[2, m] = _between(
+            grid,
+            (corners[0, m], corners[1, m], corners[2, m], corners[3, m]),
+            (parts[0, m], parts[1, m], parts[2, m], parts[3, m]),
+        )
+
+
+class Room(NamedTuple):
+    """What `look_up_lanes` writes in between.
+
+    cells: [4, LANES], row and column of the cell below and left, then of that above and right
+    corners: [4, LANES], values below left, below right, above left, above right
+    parts: [4, LANES], shares of the way to the right and up, and cells beyond the outermost centres
+    """
+
+    cells: NDArray[np.uint32]
+    corners: NDArray[np.float32]
+    parts: FloatArray
+
+
+@compiled_part
+def _cell(grid: Grid, x: float, y: float) -> tuple[Any, ...]:
+    """The rows and columns that surround a place, and where it lies: both as in `Room`."""
     u, v = x * grid.cells_per_m - grid.first_x, y * grid.cells_per_m - grid.first_y
     # This order of arguments clamps a NaN to the first cell.
     inside_u = min(grid.right, max(grid.left, u))
     inside_v = min(grid.top, max(grid.bottom, v))
-    column, row = int(inside_u), int(inside_v)
-    after = min(column + 1, grid.values.shape[1] - 1)
-    above = min(row + 1, grid.values.shape[0] - 1)
-    corner = grid.values[row, column]
-    right, up = grid.values[row, after], grid.values[above, column]
-    twist = grid.values[above, after] - right - up + corner
-    share_u, share_v = inside_u - np.floor(inside_u), inside_v - np.floor(inside_v)
-    along_u, along_v = right - corner + twist * share_v, up - corner + twist * share_u
+    column, row = np.int32(inside_u), np.int32(inside_v)
+    after = min(column + np.int32(1), np.int32(grid.right))
+    above = min(row + np.int32(1), np.int32(grid.top))
+    up, right = inside_v - np.floor(inside_v), inside_u - np.floor(inside_u)
     over_u, over_v = u - inside_u, v - inside_v
+    cells = np.uint32(row), np.uint32(column), np.uint32(above), np.uint32(after)
+    return cells, (right, up, over_u, over_v)
+
+
+@compiled_part
+def _between(
+    grid: Grid, corners: tuple[Any, ...], parts: tuple[Any, ...]
+) -> tuple[float, float, float]:
+    """Value and slopes among four cells, as `look_up` returns them; parts: as in `Room`."""
+    corner, right, up, far = corners
+    share_u, share_v, over_u, over_v = parts
+    twist = far - right - up + corner
+    along_u, along_v = right - corner + twist * share_v, up - corner + twist * share_u
     value = corner + along_u * share_u + (up - corner) * share_v
     value -= (abs(over_u) + abs(over_v)) * grid.resolution
     along_x, along_y = along_u * grid.cells_per_m, along_v * grid.cells_per_m

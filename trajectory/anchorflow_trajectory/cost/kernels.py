@@ -12,7 +12,7 @@ import numpy as np
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled, compiled_part
-from anchorflow_trajectory.cost.fields import Grid, look_up
+from anchorflow_trajectory.cost.fields import Grid, Room, look_up_lanes
 from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.spline.kernels import (
     LANES,
@@ -114,6 +114,11 @@ def cost_of_lanes(
     dim, steps = control.shape[0], len(band.first)
     samples = np.empty((4, dim, LANES), control.dtype)
     ground = np.zeros((2, 3, LANES), control.dtype)
+    room = Room(
+        np.empty((4, LANES), np.uint32),
+        np.empty((4, LANES), np.float32),
+        np.empty((4, LANES), control.dtype),
+    )
     pull = np.zeros((2, LANES), control.dtype)
     # |p'|, |p''| and |p'''| times these are shares of the limits.
     pace = np.empty((3, LANES), control.dtype)
@@ -132,7 +137,7 @@ def cost_of_lanes(
     slope[:] = real(0.0)
     for t in range(steps):
         sample_lanes(control, lanes, band, t, samples)
-        _look_up_ground(problem, samples, lanes, ground)
+        _look_up_ground(problem, samples, lanes, ground, room)
         share = real(t) / real(steps - 1)
         _charge_movers(problem.movers, gains, style, share, duration, samples, lanes, hinges, pull)
         _charge_ground(gains, style, ground, lanes, hinges, samples)
@@ -155,13 +160,14 @@ def cost_of_lanes(
 
 
 @compiled_part
-def _look_up_ground(problem: Problem, samples: FloatArray, lanes: int, ground: FloatArray) -> None:
+def _look_up_ground(
+    problem: Problem, samples: FloatArray, lanes: int, ground: FloatArray, room: Room
+) -> None:
     """Write value and slopes of clearance and of the surcharge at the samples, [2, 3, LANES]."""
-    for m in range(lanes):
-        x, y = samples[0, 0, m], samples[0, 1, m]
-        ground[0, 0, m], ground[0, 1, m], ground[0, 2, m] = look_up(problem.clearance, x, y)
-        if problem.surcharge.values.size > 0:
-            ground[1, 0, m], ground[1, 1, m], ground[1, 2, m] = look_up(problem.surcharge, x, y)
+    x, y = samples[0, 0], samples[0, 1]
+    look_up_lanes(problem.clearance, x, y, lanes, ground[0], room)
+    if problem.surcharge.values.size > 0:
+        look_up_lanes(problem.surcharge, x, y, lanes, ground[1], room)
 
 
 @compiled_part

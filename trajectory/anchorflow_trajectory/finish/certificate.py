@@ -22,6 +22,7 @@ from anchorflow_trajectory.spline.kernels import Band, sample_one
 
 CHECK_STEP = 0.04  # m between the points at which clearance is looked up
 BULGE = 0.01  # m from the chord of two samples, up to which the chord stands for the motion
+NEAR = 0.001  # m, against rounding where points are passed over
 FAR_OUT = 4  # half perimeters of the map: a longer leg has its least clearance at an end
 # A bilinear field and another reader's rounding to cells differ by less than this share of a cell.
 SHARE_OF_CELL = 0.3
@@ -197,12 +198,9 @@ def _path_clearance(grid: Grid, positions: FloatArray) -> FloatArray:
     count, steps, _ = positions.shape
     least = np.empty(count, positions.dtype)
     for m in range(count):
-        x, y = positions[m, 0, 0], positions[m, 0, 1]
         least[m] = look_up(grid, positions[m, steps - 1, 0], positions[m, steps - 1, 1])[0]
         for t in range(1, steps):
-            next_x, next_y = positions[m, t, 0], positions[m, t, 1]
-            least[m] = min(least[m], _leg_clearance(grid, x, y, next_x, next_y))
-            x, y = next_x, next_y
+            least[m] = _leg_clearance(grid, positions[m], t, False, least[m], -np.inf, 0.0)[0]
     return least
 
 
@@ -230,69 +228,66 @@ def _clearance_along(grid: Grid, path: FloatArray, enough: float) -> float:
 
     The second difference at a sample gives the curvature of the motion there.
     """
-    steps = len(path)
+    steps, reach = len(path), 0.0
     least = look_up(grid, path[steps - 1, 0], path[steps - 1, 1])[0]
     for t in range(1, steps):
         if not least >= enough:
             break
-        here, there = min(max(t - 1, 1), steps - 2), min(t, steps - 2)
-        least = min(least, _bent_leg_clearance(grid, path, t, here, there))
+        least, reach = _leg_clearance(grid, path, t, steps > 2, least, enough, reach)
     return least
 
 
 @compiled_part
-def _bent_leg_clearance(grid: Grid, path: FloatArray, t: int, here: int, there: int) -> float:
-    """Return the least clearance from sample t - 1 up to t, t excluded.
+def _leg_clearance(
+    grid: Grid, path: FloatArray, t: int, is_bent: bool, least: float, enough: float, reach: float
+) -> tuple[float, float]:
+    """Return the least of `least` and of the clearance from sample t - 1 up to t, t excluded.
 
-    here, there: samples whose second differences hold at the leg's ends. In between its second
-    derivative by the leg's share s is linear, b_0 (1 - s) + b_1 s, which puts it
+    Where a leg is bent, the second differences of the samples hold at its ends. In between its
+    second derivative by the leg's share s is linear, b_0 (1 - s) + b_1 s, which puts it
     s (1 - s) ((2 - s) b_0 + (1 + s) b_1) / 6 beside the chord.
+
+    reach: m of way from sample t - 1 on which nothing can lie lower than `enough`, or if that is
+        -inf than `least`: the field is only so steep. Points within it are passed over, as in
+        sphere tracing (Hart, 1996). Returned, too: what is left of it at sample t
     """
     x, y, to_x, to_y = path[t - 1, 0], path[t - 1, 1], path[t, 0], path[t, 1]
-    if len(path) < 3:
-        return _leg_clearance(grid, x, y, to_x, to_y)
-    b_x, b_y = _second_difference(path, here)
-    to_b_x, to_b_y = _second_difference(path, there)
-    bulge = np.sqrt(max(b_x * b_x + b_y * b_y, to_b_x * to_b_x + to_b_y * to_b_y)) / 8
-    rows, columns = grid.values.shape
-    if not BULGE < bulge <= FAR_OUT * (rows + columns) * grid.resolution:
-        return _leg_clearance(grid, x, y, to_x, to_y)
     along_x, along_y = to_x - x, to_y - y
     length = np.sqrt(along_x * along_x + along_y * along_y)
-    if not length <= FAR_OUT * (rows + columns) * grid.resolution:
-        return _leg_clearance(grid, x, y, to_x, to_y)
-    least = look_up(grid, x, y)[0]
-    pieces = np.ceil((length + 2 * bulge) / CHECK_STEP)
-    for piece in range(1, int(pieces)):
-        s = np.float32(piece) / np.float32(pieces)
-        lift = s * (1 - s) / np.float32(6)
-        off_x = lift * ((2 - s) * b_x + (1 + s) * to_b_x)
-        off_y = lift * ((2 - s) * b_y + (1 + s) * to_b_y)
-        least = min(least, look_up(grid, x + s * along_x - off_x, y + s * along_y - off_y)[0])
-    return least
+    rows, columns = grid.values.shape
+    far = FAR_OUT * (rows + columns) * grid.resolution
+    if not length <= far:
+        # So far out of the map the field falls with every metre: an end lies lowest.
+        end = look_up(grid, to_x, to_y)[0] if np.isfinite(length) else -np.inf
+        return min(least, look_up(grid, x, y)[0], end), 0.0
+    b_x = b_y = to_b_x = to_b_y = bulge = along_x * 0
+    if is_bent:
+        b_x, b_y = _second_difference(path, min(max(t - 1, 1), len(path) - 2))
+        to_b_x, to_b_y = _second_difference(path, min(t, len(path) - 2))
+        bulge = np.sqrt(max(b_x * b_x + b_y * b_y, to_b_x * to_b_x + to_b_y * to_b_y)) / 8
+        if not BULGE < bulge <= far:
+            b_x = b_y = to_b_x = to_b_y = bulge = along_x * 0
+    pieces = max(np.ceil((length + 2 * bulge) / CHECK_STEP), 1)
+    step = (length + 4 * bulge) / pieces
+    if reach > pieces * step:
+        return least, reach - pieces * step
+    for piece in range(int(pieces)):
+        if reach <= 0.0:
+            s = np.float32(piece) / np.float32(pieces)
+            lift = s * (1 - s) / np.float32(6)
+            off_x = lift * ((2 - s) * b_x + (1 + s) * to_b_x)
+            off_y = lift * ((2 - s) * b_y + (1 + s) * to_b_y)
+            here = look_up(grid, x + s * along_x - off_x, y + s * along_y - off_y)[0]
+            least = min(least, here)
+            reach = (here - (enough if enough > -np.inf else least) - NEAR) / grid.steepest
+        reach -= step
+    return least, reach
 
 
 @compiled_part
 def _second_difference(path: FloatArray, t: int) -> tuple[float, float]:
     x = path[t - 1, 0] - 2 * path[t, 0] + path[t + 1, 0]
     return x, path[t - 1, 1] - 2 * path[t, 1] + path[t + 1, 1]
-
-
-@compiled_part
-def _leg_clearance(grid: Grid, x: float, y: float, to_x: float, to_y: float) -> float:
-    """Return the least clearance along a straight leg, its end excluded."""
-    along_x, along_y = to_x - x, to_y - y
-    length = np.sqrt(along_x * along_x + along_y * along_y)
-    least = look_up(grid, x, y)[0]
-    rows, columns = grid.values.shape
-    if not length <= FAR_OUT * (rows + columns) * grid.resolution:
-        # So far out of the map the field falls with every metre: an end lies lowest.
-        return min(least, look_up(grid, to_x, to_y)[0]) if np.isfinite(length) else -np.inf
-    pieces = np.ceil(length / CHECK_STEP)
-    for piece in range(1, int(pieces)):
-        share = np.float32(piece) / np.float32(pieces)
-        least = min(least, look_up(grid, x + share * along_x, y + share * along_y)[0])
-    return least
 
 
 def largest_length(vectors: FloatArray) -> FloatArray:
