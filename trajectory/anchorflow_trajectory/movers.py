@@ -73,12 +73,13 @@ class MovingDiscs:
 class Discs(NamedTuple):
     """Moving discs as compiled loops read them, numbers of one type; see `MovingDiscs`.
 
+    lines: [M, K, 4], of each leg the place where it would be at time 0, and the velocity
     pace: [M] m/s, at which each moves or grows towards anything at most
 
     Where nothing moves, loops get None: they are compiled for that type too, without the discs.
     """
 
-    places: FloatArray
+    lines: FloatArray
     radius: FloatArray
     pace: FloatArray
     step: np.floating
@@ -88,24 +89,25 @@ class Discs(NamedTuple):
     def of(movers: MovingDiscs, dtype: DTypeLike) -> Discs:
         """Return the discs in numbers of a dtype, cached."""
         if (made := movers.made.get(dtype)) is None:
-            places = np.ascontiguousarray(movers.places, dtype)
             numbers = np.array([movers.step_s, movers.growth], dtype)
-            legs = np.linalg.norm(np.diff(movers.places, axis=1), axis=-1)
-            pace = legs.max(1, initial=0.0) / movers.step_s + movers.growth
+            velocity = np.diff(movers.places, axis=1) / movers.step_s
+            begun = movers.step_s * np.arange(velocity.shape[1])[:, None]
+            lines = np.concatenate([movers.places[:, :-1] - velocity * begun, velocity], axis=-1)
+            pace = np.linalg.norm(velocity, axis=-1).max(1, initial=0.0) + movers.growth
             radius, pace = movers.radius.astype(dtype), pace.astype(dtype)
-            made = movers.made[dtype] = Discs(places, radius, pace, *numbers)
+            lines = np.ascontiguousarray(lines, dtype)
+            made = movers.made[dtype] = Discs(lines, radius, pace, *numbers)
         return made
 
 
-@compiled
+@compiled_part
 def place_at(discs: Discs, j: int, time: float) -> tuple[float, float]:
     """x and y of disc j after `time` s."""
-    leg = min(int(time / discs.step), discs.places.shape[1] - 2)
-    share = time / discs.step - leg
-    x, y = discs.places[j, leg, 0], discs.places[j, leg, 1]
-    x += share * (discs.places[j, leg + 1, 0] - x)
-    y += share * (discs.places[j, leg + 1, 1] - y)
-    return x, y
+    leg = 0
+    if discs.lines.shape[1] > 1:
+        leg = min(int(time / discs.step), discs.lines.shape[1] - 1)
+    line = discs.lines[j, leg]
+    return line[0] + line[2] * time, line[1] + line[3] * time
 
 
 @compiled_part
@@ -119,7 +121,7 @@ def moving_clearance(
     """
     if discs is None:
         return most
-    steps, least, legs = len(path), most, discs.places.shape[1] - 1
+    steps, least, legs = len(path), most, discs.lines.shape[1]
     stride, bulge, off = duration / (steps - 1), np.empty(steps), np.zeros(steps)
     longest, widest = 0.0, 0.0
     for t in range(1, steps):
@@ -129,12 +131,14 @@ def moving_clearance(
         if legs > 1 or bulge[t] > SMALL_BULGE:
             off[t] = UNEVEN * _unevenness(path, t)
         widest = max(widest, bulge[t] + off[t])
-        longest = max(longest, np.hypot(path[t, 0] - path[t - 1, 0], path[t, 1] - path[t - 1, 1]))
+        along_x, along_y = path[t, 0] - path[t - 1, 0], path[t, 1] - path[t - 1, 1]
+        longest = max(longest, along_x * along_x + along_y * along_y)
+    longest = np.sqrt(longest)
     for j in range(len(discs.radius)):
         nearer, t = longest + discs.pace[j] * stride, 1
         while t < steps:
             x, y = _place_from(discs, j, path, t - 1, stride)
-            gap = np.hypot(x, y) - discs.radius[j] - discs.growth * ((t - 1) * stride)
+            gap = np.sqrt(x * x + y * y) - discs.radius[j] - discs.growth * ((t - 1) * stride)
             # Legs in which the two cannot come nearer than the least so far are passed over.
             passed = (gap - least - widest - ROUNDING) / nearer
             if passed >= 1.0:
@@ -228,7 +232,7 @@ def _chord_clearance(
 ) -> float:
     """Return the least clearance to disc j from one place to another, straight, begin to end s."""
     least, radius = np.inf, discs.radius[j] + discs.growth * end
-    at, (x, y), legs = begin, place, discs.places.shape[1] - 1
+    at, (x, y), legs = begin, place, discs.lines.shape[1]
     while at < end:
         # The disc's own legs cut the chord.
         leg = int(at / discs.step + 1e-9)

@@ -15,6 +15,7 @@ from anchorflow_trajectory.cost.clearance import OCCUPIED, GridField
 from anchorflow_trajectory.movers import MovingDiscs
 
 OCCUPANCY, TRAVERSABILITY, RISK = range(3)  # channels of a cost map; more may follow
+ROOM = 12  # numbers of a lane in between
 FAINT = 1e-6  # of a soft cost, below which it is none: denormal numbers are slow
 
 
@@ -111,42 +112,34 @@ def look_up(grid: Grid, x: float, y: float) -> tuple[float, float, float]:
 
 @compiled_part
 def look_up_lanes(
-    grid: Grid, x: FloatArray, y: FloatArray, lanes: int, found: FloatArray, room: Room
+    grid: Grid, x: FloatArray, y: FloatArray, lanes: int, found: FloatArray, room: FloatArray
 ) -> None:
-    """Write the same at [LANES] places as [3, LANES]: vectors but for the reading of the cells."""
-    cells, corners, parts = room
+    """Write the same at [LANES] places as [3, LANES]: vectors but for the reading of the cells.
+
+    room: [ROOM, LANES], for what is written in between; one array, since what may overlap is slow
+    """
     for m in range(lanes):
         (row, column, above, after), (right, up, over_u, over_v) = _cell(grid, x[m], y[m])
-        cells[0, m], cells[1, m], cells[2, m], cells[3, m] = row, column, above, after
-        parts[0, m], parts[1, m], parts[2, m], parts[3, m] = right, up, over_u, over_v
+        room[0, m], room[1, m], room[2, m], room[3, m] = row, column, above, after
+        room[4, m], room[5, m], room[6, m], room[7, m] = right, up, over_u, over_v
     for m in range(lanes):
-        row, column, above, after = cells[0, m], cells[1, m], cells[2, m], cells[3, m]
-        corners[0, m], corners[1, m] = grid.values[row, column], grid.values[row, after]
-        corners[2, m], corners[3, m] = grid.values[above, column], grid.values[above, after]
+        row, column = np.uint32(room[0, m]), np.uint32(room[1, m])
+        above, after = np.uint32(room[2, m]), np.uint32(room[3, m])
+        room[8, m], room[9, m] = grid.values[row, column], grid.values[row, after]
+        room[10, m], room[11, m] = grid.values[above, column], grid.values[above, after]
     for m in range(lanes):
-        found[0, m], found[1, m], found[2, m] = _between(
-            grid,
-            (corners[0, m], corners[1, m], corners[2, m], corners[3, m]),
-            (parts[0, m], parts[1, m], parts[2, m], parts[3, m]),
-        )
-
-
-class Room(NamedTuple):
-    """What `look_up_lanes` writes in between.
-
-    cells: [4, LANES], row and column of the cell below and left, then of that above and right
-    corners: [4, LANES], values below left, below right, above left, above right
-    parts: [4, LANES], shares of the way to the right and up, and cells beyond the outermost centres
-    """
-
-    cells: NDArray[np.uint32]
-    corners: NDArray[np.float32]
-    parts: FloatArray
+        corner, right = np.float32(room[8, m]), np.float32(room[9, m])
+        up, far = np.float32(room[10, m]), np.float32(room[11, m])
+        parts = room[4, m], room[5, m], room[6, m], room[7, m]
+        found[0, m], found[1, m], found[2, m] = _between(grid, (corner, right, up, far), parts)
 
 
 @compiled_part
 def _cell(grid: Grid, x: float, y: float) -> tuple[Any, ...]:
-    """The rows and columns that surround a place, and where it lies: both as in `Room`."""
+    """Row and column of the cell below and left of a place, then of that above and right of it; and
+
+    the shares of the way to the right and up, and by how many cells it is off the outermost centres.
+    """
     u, v = x * grid.cells_per_m - grid.first_x, y * grid.cells_per_m - grid.first_y
     # This order of arguments clamps a NaN to the first cell.
     inside_u = min(grid.right, max(grid.left, u))
@@ -164,7 +157,10 @@ def _cell(grid: Grid, x: float, y: float) -> tuple[Any, ...]:
 def _between(
     grid: Grid, corners: tuple[Any, ...], parts: tuple[Any, ...]
 ) -> tuple[float, float, float]:
-    """Value and slopes among four cells, as `look_up` returns them; parts: as in `Room`."""
+    """Value and slopes among four cells, as `look_up` returns them.
+
+    corners: values below left, below right, above left, above right; parts: as of `_cell`
+    """
     corner, right, up, far = corners
     share_u, share_v, over_u, over_v = parts
     twist = far - right - up + corner

@@ -12,7 +12,7 @@ import numpy as np
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled, compiled_part
-from anchorflow_trajectory.cost.fields import Grid, Room, look_up_lanes
+from anchorflow_trajectory.cost.fields import ROOM, Grid, look_up_lanes
 from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.spline.kernels import (
     LANES,
@@ -24,6 +24,7 @@ from anchorflow_trajectory.spline.kernels import (
 )
 
 DEEP = 0.25  # m of intrusion, about a robot's size, beyond which the hinge grows linearly
+MET = 2  # of so many samples one is held against what moves, and counts for all
 TINY = 1e-9  # of what is divided by
 
 
@@ -114,11 +115,7 @@ def cost_of_lanes(
     dim, steps = control.shape[0], len(band.first)
     samples = np.empty((4, dim, LANES), control.dtype)
     ground = np.zeros((2, 3, LANES), control.dtype)
-    room = Room(
-        np.empty((4, LANES), np.uint32),
-        np.empty((4, LANES), np.float32),
-        np.empty((4, LANES), control.dtype),
-    )
+    room = np.empty((ROOM, LANES), control.dtype)
     pull = np.zeros((2, LANES), control.dtype)
     # |p'|, |p''| and |p'''| times these are shares of the limits.
     pace = np.empty((3, LANES), control.dtype)
@@ -139,10 +136,15 @@ def cost_of_lanes(
         sample_lanes(control, lanes, band, t, samples)
         _look_up_ground(problem, samples, lanes, ground, room)
         share = real(t) / real(steps - 1)
-        _charge_movers(problem.movers, gains, style, share, duration, samples, lanes, hinges, pull)
+        is_met = problem.movers is not None and t % MET == 1
+        if is_met:
+            _charge_movers(
+                problem.movers, gains, style, share, duration, samples, lanes, hinges, pull
+            )
         _charge_ground(gains, style, ground, lanes, hinges, samples)
         _charge_motion(gains, pace, gain, by_way, ground, lanes, squares, hinges, samples)
-        _add_to_slopes(problem.movers, pull, lanes, samples)
+        if is_met:
+            _add_to_slopes(problem.movers, pull, lanes, samples)
         if is_sloped:
             gather_slopes(samples, lanes, band, t, slope)
     share = real(1.0) / real(steps)
@@ -161,7 +163,7 @@ def cost_of_lanes(
 
 @compiled_part
 def _look_up_ground(
-    problem: Problem, samples: FloatArray, lanes: int, ground: FloatArray, room: Room
+    problem: Problem, samples: FloatArray, lanes: int, ground: FloatArray, room: FloatArray
 ) -> None:
     """Write value and slopes of clearance and of the surcharge at the samples, [2, 3, LANES]."""
     x, y = samples[0, 0], samples[0, 1]
@@ -228,7 +230,7 @@ def _charge_movers(
     if discs is None:
         return
     real = samples.dtype.type
-    legs, far = discs.places.shape[1] - 1, real(np.inf)
+    legs, far = discs.lines.shape[1], real(np.inf)
     time, comfort = np.empty(LANES, samples.dtype), np.empty(LANES, samples.dtype)
     scale = np.empty((2, LANES), samples.dtype)
     x, y = samples[0, 0], samples[0, 1]
@@ -236,7 +238,7 @@ def _charge_movers(
     for m in range(lanes):
         time[m] = share * duration[m]
         comfort[m] = real(1.0) / (gains.distance + gains.widening * time[m])
-        scale[0, m] = gains.per_s * duration[m]
+        scale[0, m] = real(MET) * gains.per_s * duration[m]
         scale[1, m] = scale[0, m] * gains.near * (real(1.0) + style[0, m])
         scale[1, m] /= real(1.0) + gains.fading * time[m]
         left, right = min(left, x[m]), max(right, x[m])
@@ -246,13 +248,13 @@ def _charge_movers(
     widest = gains.distance + (gains.widening + discs.growth) * last
     for j in range(len(discs.radius)):
         wide = discs.radius[j] + max(widest, gains.margin + discs.growth * last)
-        begin = min(int(first / discs.step), legs - 1)
-        end = min(int(last / discs.step), legs - 1)
+        begin, end = 0, 0
+        if legs > 1:
+            begin = min(int(first / discs.step), legs - 1)
+            end = min(int(last / discs.step), legs - 1)
         for leg in range(begin, end + 1):
-            speed_x = (discs.places[j, leg + 1, 0] - discs.places[j, leg, 0]) / discs.step
-            speed_y = (discs.places[j, leg + 1, 1] - discs.places[j, leg, 1]) / discs.step
-            x_0 = discs.places[j, leg, 0] - speed_x * (leg * discs.step)
-            y_0 = discs.places[j, leg, 1] - speed_y * (leg * discs.step)
+            x_0, y_0 = discs.lines[j, leg, 0], discs.lines[j, leg, 1]
+            speed_x, speed_y = discs.lines[j, leg, 2], discs.lines[j, leg, 3]
             from_s = -far if leg == 0 else real(leg * discs.step)
             until_s = far if leg == legs - 1 else real((leg + 1) * discs.step)
             early, late = max(first, from_s), min(last, until_s)

@@ -11,7 +11,7 @@
     D  the integral of 1 + surcharge along the path, over the way that v_max covers in the
        reference time: dear ground, in every style alike; nothing on a map without surcharge
     P  mean squared shortfall of distance to each thing that moves from a comfortable distance,
-       which grows with time: in every style, and more in a safe one
+       which grows with time, at every second sample: in every style, and more in a safe one
     H  hinges on clearance, also to what moves, speed and acceleration just inside their limits
     u  the requested weights, raised to a power and normalised: the corners and the middle of the
        triangle stay, and points between lean clearly to one side

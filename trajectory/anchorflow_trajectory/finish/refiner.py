@@ -32,8 +32,8 @@ DESCENT_RATE = 0.3  # m, a first step on the control points
 # Anchors that are not safe get a further pass each: all of them once, then those of routes that
 # have no safe anchor yet. A hard scene costs more time than an easy one.
 FURTHER_RATES = (0.15, 0.15)
-# Where something moves among walls such a pass is long, and it is for the first of those that are
-# not safe. In the open, with people alone, more robots collided with long passes.
+# Where something moves among walls such a pass is long, and as many get it as may then be safe. In
+# the open, with people alone, more robots collided with long passes.
 FURTHER_STEPS, FURTHER_MOST = 50, 32
 STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
@@ -211,7 +211,9 @@ class Refiner:
             if not helped.any():
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
-            failed = np.flatnonzero(helped)[:most]
+            failed = np.flatnonzero(helped)[: most and max(most - int(safe.sum()), 0)]
+            if not len(failed):
+                break
             slowly = OptimisationPass(steps, rate, slowed_before=True, slowed_after=True)
             tried, gained = self._optimised(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)

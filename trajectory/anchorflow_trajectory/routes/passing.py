@@ -227,7 +227,7 @@ def _passing_keys(
     keys: NDArray[np.uint64],
 ) -> NDArray[np.uint64]:
     count, steps, _ = positions.shape
-    found, legs = np.zeros(count, np.uint64), discs.places.shape[1] - 1
+    found, legs = np.zeros(count, np.uint64), discs.lines.shape[1]
     time, rests = np.empty(steps + legs), legs
     for n in range(count):
         for t in range(steps):
@@ -237,13 +237,10 @@ def _passing_keys(
             if rest + 1 < rests:
                 time[steps + rest] = max((rest + 1) * discs.step, duration[n])
         for j in range(len(keys)):
-            speed = (discs.places[j, 1, 0] - discs.places[j, 0, 0]) / discs.step
-            x = positions[n, 0, 0] - discs.places[j, 0, 0]
+            x = positions[n, 0, 0] - place_at(discs, j, 0.0)[0]
             for t in range(1, steps + rests):
                 at = min(t, steps - 1)
-                to_x = positions[n, at, 0] - discs.places[j, 0, 0] - speed * time[t]
-                if legs > 1:
-                    to_x = positions[n, at, 0] - place_at(discs, j, time[t])[0]
+                to_x = positions[n, at, 0] - place_at(discs, j, time[t])[0]
                 if (x < 0.0) != (to_x < 0.0):
                     y = positions[n, min(t - 1, steps - 1), 1] - place_at(discs, j, time[t - 1])[1]
                     to_y = positions[n, at, 1] - place_at(discs, j, time[t])[1]

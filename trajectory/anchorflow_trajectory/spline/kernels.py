@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled, compiled_part
 
+USUAL = 5  # control points that a sample depends on in splines of degree 4: summed in one loop
 LANES = 64  # trajectories at a time, so that what is worked on stays in the nearest cache
 
 
@@ -49,14 +50,21 @@ def sample_lanes(control: FloatArray, lanes: int, band: Band, t: int, samples: F
     """
     first = band.first[t]
     for order in range(samples.shape[0]):
+        weight = band.weights[t, order]
         for d in range(samples.shape[1]):
-            weight = band.weights[t, order, 0]
-            for m in range(lanes):
-                samples[order, d, m] = weight * control[d, first, m]
-            for j in range(1, band.weights.shape[2]):
-                weight, point = band.weights[t, order, j], first + j
+            points, given = control[d], samples[order, d]
+            if len(weight) == USUAL:
+                w_0, w_1, w_2, w_3, w_4 = weight[0], weight[1], weight[2], weight[3], weight[4]
                 for m in range(lanes):
-                    samples[order, d, m] += weight * control[d, point, m]
+                    total = w_0 * points[first, m] + w_1 * points[first + 1, m]
+                    total = total + w_2 * points[first + 2, m] + w_3 * points[first + 3, m]
+                    given[m] = total + w_4 * points[first + 4, m]
+                continue
+            for m in range(lanes):
+                given[m] = weight[0] * points[first, m]
+            for j in range(1, len(weight)):
+                for m in range(lanes):
+                    given[m] += weight[j] * points[first + j, m]
 
 
 @compiled_part
