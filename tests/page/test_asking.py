@@ -27,7 +27,7 @@ def crosses(trajectory: Any, cost_map: Any) -> bool:
     return bool(grid[rows, columns].any())
 
 
-def test_it_opens_with_a_map_and_anchors(visit: Any, served: Any) -> None:
+def test_it_opens_with_a_map_anchors_and_labels_of_all_controls(visit: Any, served: Any) -> None:
     expect(visit.locate("#best tbody tr")).to_have_count(10)
     expect(visit.locate("#charts svg")).to_have_count(3)
     expect(visit.locate("#link-text")).to_contain_text("flowmp")
@@ -36,6 +36,16 @@ def test_it_opens_with_a_map_and_anchors(visit: Any, served: Any) -> None:
     hosts = visit.page.evaluate("performance.getEntriesByType('resource').map(e => e.name)")
     assert hosts
     assert all(url.startswith(served.url) for url in hosts)
+
+    labels = visit.locate("label.field:visible")
+    kinds = labels.evaluate_all("labels => labels.map(label => label.control.localName)")
+    assert len(kinds) >= 13
+    assert set(kinds) == {"input", "select"}
+
+    for role, name in (("slider", "Speed limit"), ("slider", "Anchors"), ("combobox", "Style")):
+        expect(visit.locate(".ask").get_by_role(role, name=name)).to_have_count(1)
+    visit.locate("label:has(#robot_radius) > span").click()
+    expect(visit.locate("#robot_radius")).to_be_focused()
 
 
 def test_nothing_can_be_chosen_before_a_planner_is_known(open_page: Callable[..., Any]) -> None:
@@ -271,18 +281,6 @@ def test_a_field_that_is_added_to_the_schema_gets_a_row_and_is_sent(
     assert asked.asked["wheel_base"] == 2.5
     expect(visit.locate("#bubble")).to_contain_text("wheel_base")
     visit.forget_errors("status of 422")
-
-
-def test_a_label_belongs_to_its_control(visit: Any) -> None:
-    labels = visit.locate("label.field:visible")
-    kinds = labels.evaluate_all("labels => labels.map(label => label.control.localName)")
-    assert len(kinds) >= 13
-    assert set(kinds) == {"input", "select"}
-
-    for role, name in (("slider", "Speed limit"), ("slider", "Anchors"), ("combobox", "Style")):
-        expect(visit.locate(".ask").get_by_role(role, name=name)).to_have_count(1)
-    visit.locate("label:has(#robot_radius) > span").click()
-    expect(visit.locate("#robot_radius")).to_be_focused()
 
 
 def test_while_the_goal_is_dragged_one_request_is_out_and_the_newest_wins(visit: Any) -> None:

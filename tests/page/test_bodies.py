@@ -33,7 +33,7 @@ def turned(asked: Any, heading: float) -> bool:
     return asked["x_curr"][2] == pytest.approx(heading, abs=0.05)
 
 
-def test_a_rectangle_on_wheels_is_sent_and_answered_with_poses(cart: Any) -> None:
+def test_a_rectangle_on_wheels_is_sent_turned_and_a_disc_again(cart: Any) -> None:
     asked, answered = cart.exchange.asked, cart.exchange.answered
 
     assert cart.exchange.status == 200
@@ -47,8 +47,6 @@ def test_a_rectangle_on_wheels_is_sent_and_answered_with_poses(cart: Any) -> Non
     expect(cart.locate("#kinematics-reverse")).to_be_visible()
     cart.keep("body.png")
 
-
-def test_the_tip_turns_the_start_and_keys_turn_it_further(cart: Any) -> None:
     x, y = cart.at((-4.0, 0.0))
     backwards = (x - 26, y)
     moved = cart.answer(
@@ -69,6 +67,15 @@ def test_the_tip_turns_the_start_and_keys_turn_it_further(cart: Any) -> None:
     )
     heading, velocity = fast.asked["x_curr"][2], fast.asked["x_curr"][3:5]
     assert np.arctan2(velocity[1], velocity[0]) == pytest.approx(heading, abs=1e-3)
+
+    cart.locate("#kinematics-kind").select_option("")
+    disc = cart.answer(
+        lambda: cart.locate("#shape").select_option("disc"),
+        lambda asked: "footprint" not in asked and len(asked["x_curr"]) == 6,
+    )
+    assert "kinematics" not in disc.asked
+    assert "sampler" in disc.asked
+    expect(cart.locate("#kinematics-omega_max")).to_be_hidden()
 
 
 def test_a_body_is_saved_opened_and_copied(
@@ -112,14 +119,3 @@ def test_the_robot_drives_along_its_heading(cart: Any) -> None:
     cart.keep("body-drive.png")
     cart.locate("#drive").click()
     expect(cart.locate("#drive")).to_have_text("Drive", timeout=PATIENCE_MS)
-
-
-def test_a_disc_again_is_asked_as_before(cart: Any) -> None:
-    cart.locate("#kinematics-kind").select_option("")
-    disc = cart.answer(
-        lambda: cart.locate("#shape").select_option("disc"),
-        lambda asked: "footprint" not in asked and len(asked["x_curr"]) == 6,
-    )
-    assert "kinematics" not in disc.asked
-    assert "sampler" in disc.asked
-    expect(cart.locate("#kinematics-omega_max")).to_be_hidden()

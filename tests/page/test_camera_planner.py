@@ -61,7 +61,7 @@ def fill_in(visit: Any, file: Path, status: str) -> None:
     visit.locate("#input-ego_status").fill(status)
 
 
-def test_it_shows_the_card_and_a_field_for_every_input(camera: Any) -> None:
+def test_it_shows_the_card_a_field_for_every_input_and_no_tools_of_the_map(camera: Any) -> None:
     fields = camera.locate("#inputs .input")
 
     expect(fields).to_have_count(2)
@@ -79,9 +79,6 @@ def test_it_shows_the_card_and_a_field_for_every_input(camera: Any) -> None:
         "bev_semantics float32 [B, 3, 16, 24], 0 to 1",
     ):
         expect(camera.locate("#card")).to_contain_text(text)
-
-
-def test_there_are_no_tools_of_the_map(camera: Any) -> None:
     for tool in (*MAP_TOOLS, *MAP_ACTS):
         expect(camera.locate(tool)).to_be_hidden()
     camera.page.keyboard.press("Control+z")
@@ -99,7 +96,7 @@ def test_there_are_no_tools_of_the_map(camera: Any) -> None:
         expect(camera.locate(tool)).to_be_hidden()
 
 
-def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path) -> None:
+def test_it_plans_with_what_was_filled_in_and_draws_what_comes(camera: Any, tmp_path: Path) -> None:
     file = picture(tmp_path)
     fill_in(camera, file, "8, 0.5 0;0")
     expect(camera.locate("#summary")).to_have_text("What is asked has changed: plan again.")
@@ -112,8 +109,8 @@ def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path) -> None:
     }
     assert told.asked["num_samples"] == 6
     assert told.asked["outputs"] == ["bev_semantics"]
-    brightness = pixels_of(told.asked["inputs"]["camera"]).mean() / 255
-    paths, scores = expected(brightness, 8.0)
+    sent = pixels_of(told.asked["inputs"]["camera"])
+    paths, scores = expected(sent.mean() / 255, 8.0)
     np.testing.assert_allclose(told.answered["trajectories"], paths, atol=1e-5)
     expect(camera.locate("#summary")).to_contain_text("6 anchors")
     expect(camera.locate("#best tbody tr")).to_have_count(6)
@@ -126,23 +123,23 @@ def test_it_plans_with_what_was_filled_in(camera: Any, tmp_path: Path) -> None:
     expect(camera.locate("#anchor-figures")).to_contain_text(f"{TIMES[-1]:.1f} s")
     camera.keep("camera.png")
 
+    expect(camera.locate("#raster-note")).to_contain_text("does not say how many metres")
+    shown = camera.locate("#raster").evaluate(
+        "canvas => Array.from(canvas.getContext('2d')"
+        ".getImageData(0, 0, canvas.width, canvas.height).data)"
+    )
+    rgb = np.array(shown).reshape(HEIGHT, WIDTH, 4)[..., :3].transpose(2, 0, 1)
+    assert np.abs(rgb - sent.astype(int)).max() <= 1
 
-def test_every_anchor_is_drawn_where_it_leads(camera: Any, tmp_path: Path) -> None:
-    fill_in(camera, picture(tmp_path), "8, 0, 0, 0")
-    answered = plan(camera).answered
-    expect(camera.locate("#summary")).to_contain_text("6 anchors")
     box = camera.locate("#birds-eye").bounding_box()
-
     met: list[int] = []
     for left in range(4, int(box["width"]) - 4, 4):
         camera.page.mouse.move(box["x"] + left, box["y"] + 0.2 * box["height"])
         name = camera.locate("#anchor-name").inner_text()
         if name != "Best anchor" and int(name.split()[1]) not in met:
             met.append(int(name.split()[1]))
-
     # From left to right is from the greatest y to the smallest.
-    aside = np.array(answered["trajectories"])[:, -1, 1]
-    assert met == np.argsort(-aside).tolist()
+    assert met == np.argsort(-paths[:, -1, 1]).tolist()
 
 
 def test_a_picture_of_another_size_is_drawn_to_the_cards_and_another_file_is_not_sent(
@@ -163,20 +160,6 @@ def test_a_picture_of_another_size_is_drawn_to_the_cards_and_another_file_is_not
     note = camera.locate(".picture .hint")
     expect(note).to_have_text("notes.png: expected a PNG or JPEG picture.")
     assert not pixels_of(plan(camera).asked["inputs"]["camera"]).any()
-
-
-def test_the_picture_that_the_planner_gives_stands_beside(camera: Any, tmp_path: Path) -> None:
-    fill_in(camera, picture(tmp_path), "1, 0, 0, 0")
-    sent = pixels_of(plan(camera).asked["inputs"]["camera"])
-    expect(camera.locate("#summary")).to_contain_text("6 anchors")
-
-    expect(camera.locate("#raster-note")).to_contain_text("does not say how many metres")
-    shown = camera.locate("#raster").evaluate(
-        "canvas => Array.from(canvas.getContext('2d')"
-        ".getImageData(0, 0, canvas.width, canvas.height).data)"
-    )
-    rgb = np.array(shown).reshape(HEIGHT, WIDTH, 4)[..., :3].transpose(2, 0, 1)
-    assert np.abs(rgb - sent.astype(int)).max() <= 1
 
 
 def test_fewer_anchors_are_the_best_ones_and_extras_are_a_choice(camera: Any) -> None:

@@ -71,7 +71,7 @@ def drawn(frame: dict[str, Any]) -> np.ndarray:
     return np.frombuffer(data, packed["dtype"]).reshape(packed["shape"])
 
 
-def test_the_slider_asks_about_its_time_and_draws_the_answer(
+def test_keys_slider_and_play_button_ask_about_their_time_and_draw_the_answer(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
     first = opened(driving, drive, tmp_path)
@@ -81,6 +81,9 @@ def test_the_slider_asks_about_its_time_and_draws_the_answer(
     # The route is drawn on the street, and is not a picture beside it.
     expect(driving.locate("#drive-route")).to_be_visible()
     expect(driving.locate("#sensed figcaption")).to_have_text(["bev"])
+    expect(driving.locate("#poses tbody")).to_have_text(best_poses(first))
+    driving.answer(lambda: driving.page.keyboard.press("ArrowRight"), asks_about(frames[1]))
+    driving.answer(lambda: driving.page.keyboard.press("ArrowLeft"), asks_about(frames[0]))
     expect(driving.locate("#poses tbody")).to_have_text(best_poses(first))
     before = driving.locate("#birds-eye").screenshot()
 
@@ -100,26 +103,17 @@ def test_the_slider_asks_about_its_time_and_draws_the_answer(
     assert [*map(float, shown)] == frames[-1]["inputs"]["ego_status"]
     driving.keep("drive.png")
 
-
-def test_keys_and_the_play_button_go_through_the_drive(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    opened(driving, drive, tmp_path)
-    frames = drive["frames"]
-
-    driving.answer(lambda: driving.page.keyboard.press("ArrowRight"), asks_about(frames[1]))
-    driving.answer(lambda: driving.page.keyboard.press("ArrowLeft"), asks_about(frames[0]))
+    driving.answer(lambda: driving.locate("#drive-time").fill("0"), asks_about(frames[0]))
     driving.answer(lambda: driving.locate("#drive-play").click(), asks_about(frames[-1]))
-
     play = driving.locate("#drive-play")
     expect(play).to_have_attribute("aria-pressed", "false", timeout=PATIENCE_MS)
     expect(driving.locate("#drive-time")).to_have_value(str(len(frames) - 1))
 
 
-def test_while_the_slider_is_dragged_the_newest_wins(
+def test_while_the_slider_is_dragged_the_newest_wins_and_a_closed_drive_leaves_its_inputs(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
-    opened(driving, drive, tmp_path)
+    assert "route" in opened(driving, drive, tmp_path).asked["inputs"]
     frames = drive["frames"]
     driving.page.evaluate("performance.clearResourceTimings()")
     moves = 40
@@ -139,26 +133,25 @@ def test_while_the_slider_is_dragged_the_newest_wins(
     asked = "performance.getEntriesByType('resource').filter(e => e.name.endsWith('/anchors'))"
     assert driving.page.evaluate(f"{asked}.length") <= 3
 
+    told = driving.answer(
+        lambda: driving.locate("#close-drive").click(), lambda asked: "inputs" in asked
+    )
 
-def test_a_planner_that_asks_for_something_else_names_it(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    opened(driving, drive, tmp_path)
-    why = "camera: the drive has no such input; it was made for goalflow, with bev, ego_status"
-
-    driving.locate("#bundle").select_option("tiny-camera")
-
-    expect(driving.locate("#drive-trouble")).to_contain_text(why)
     expect(driving.locate("#drive-bar")).to_be_hidden()
     expect(driving.locate("#sensed")).to_be_hidden()
-    expect(driving.locate("#summary")).to_contain_text("No sample fits this planner")
-    driving.locate("#seed").fill("7")
-    driving.page.keyboard.press("Tab")
-    driving.answer(lambda: driving.locate("#plan").click(), lambda asked: asked["seed"] == 7)
-    expect(driving.locate("#drive-trouble")).to_be_hidden()
+    np.testing.assert_array_equal(sent(told), drawn(frames[-1]))
+    expect(driving.locate("#summary")).to_contain_text("64 anchors")
+    route = driving.locate("#input-route")
+    route.fill("[[1, 2]]")
+    route.fill("")
+    expect(route).to_have_attribute("placeholder", "left out")
+    told = driving.answer(
+        lambda: driving.locate("#plan").click(), lambda asked: "route" not in asked["inputs"]
+    )
+    assert told.status == 200
 
 
-def test_a_drive_that_does_not_fit_or_is_broken_is_refused(
+def test_a_drive_that_does_not_fit_is_broken_or_is_another_planners_is_refused(
     driving: Any, drive: dict[str, Any], tmp_path: Path
 ) -> None:
     bev, *others = drive["inputs"]
@@ -181,28 +174,19 @@ def test_a_drive_that_does_not_fit_or_is_broken_is_refused(
 
     expect(driving.locate("#drive-bar")).to_be_hidden()
 
+    opened(driving, drive, tmp_path)
+    why = "camera: the drive has no such input; it was made for goalflow, with bev, ego_status"
 
-def test_a_drive_that_is_closed_leaves_its_inputs_until_they_are_left_out(
-    driving: Any, drive: dict[str, Any], tmp_path: Path
-) -> None:
-    assert "route" in opened(driving, drive, tmp_path).asked["inputs"]
+    driving.locate("#bundle").select_option("tiny-camera")
 
-    told = driving.answer(
-        lambda: driving.locate("#close-drive").click(), lambda asked: "inputs" in asked
-    )
-
+    expect(trouble).to_contain_text(why)
     expect(driving.locate("#drive-bar")).to_be_hidden()
     expect(driving.locate("#sensed")).to_be_hidden()
-    np.testing.assert_array_equal(sent(told), drawn(drive["frames"][0]))
-    expect(driving.locate("#summary")).to_contain_text("64 anchors")
-    route = driving.locate("#input-route")
-    route.fill("[[1, 2]]")
-    route.fill("")
-    expect(route).to_have_attribute("placeholder", "left out")
-    told = driving.answer(
-        lambda: driving.locate("#plan").click(), lambda asked: "route" not in asked["inputs"]
-    )
-    assert told.status == 200
+    expect(driving.locate("#summary")).to_contain_text("No sample fits this planner")
+    driving.locate("#seed").fill("7")
+    driving.page.keyboard.press("Tab")
+    driving.answer(lambda: driving.locate("#plan").click(), lambda asked: asked["seed"] == 7)
+    expect(trouble).to_be_hidden()
 
 
 def test_a_picture_of_a_drive_goes_as_it_is(visit: Any) -> None:

@@ -57,7 +57,21 @@ def test_a_ros_map_is_read_as_the_command_line_reads_it(visit: Any, tmp_path: Pa
         expect(visit.locate("#sample")).to_have_value("own")
 
 
-def test_a_file_that_cannot_be_read_is_explained(visit: Any, tmp_path: Path) -> None:
+DROP = """(element, [name, text]) => {
+  const dataTransfer = new DataTransfer();
+  dataTransfer.items.add(new File([text], name));
+  const fire = (type) =>
+    element.dispatchEvent(new DragEvent(type, { dataTransfer, bubbles: true, cancelable: true }));
+  fire("dragover");
+  const said = document.querySelector("#board").hasAttribute("data-drop");
+  return [said, fire("drop"), document.querySelector("#board").hasAttribute("data-drop")];
+}"""
+"""Drop a file: was the board marked, would the browser open it, and does the mark stay."""
+
+
+def test_notes_tell_of_files_that_are_chosen_or_dropped_and_of_a_copy(
+    visit: Any, tmp_path: Path
+) -> None:
     (tmp_path / "cut.png").write_bytes(png(drawing())[:60])
     (tmp_path / "a.txt").write_text("hello")
     note = visit.locate("#scene-note")
@@ -66,6 +80,23 @@ def test_a_file_that_cannot_be_read_is_explained(visit: Any, tmp_path: Path) -> 
     expect(note).to_have_text("cut.png: expected a PNG picture.")
     open_files(visit, [tmp_path / "a.txt"])
     expect(note).to_contain_text("a.txt: expected .json, .yaml with its picture")
+
+    for where, name in (("#board", "a.json"), ("#bundle", "b.json")):
+        outcome = visit.locate(where).evaluate(DROP, [name, '{"x_curr": [1, 2]}'])
+
+        assert outcome == [True, False, False]
+        expect(visit.locate("#scene-note")).to_contain_text(f"{name}: x_curr: expected 6 numbers")
+
+    # A page that came over plain HTTP from another machine has no clipboard.
+    visit.page.evaluate(
+        "() => { navigator.clipboard.writeText = () => Promise.reject(new Error()); }"
+    )
+    visit.locate("#copy-curl").focus()
+
+    visit.page.keyboard.press("Enter")
+
+    expect(visit.locate("#scene-note")).to_have_text("Copied for curl.")
+    expect(visit.locate("#copy-curl")).to_be_focused()
 
 
 def test_a_robot_stops_when_a_map_is_opened(visit: Any, tmp_path: Path) -> None:
@@ -81,26 +112,6 @@ def test_a_robot_stops_when_a_map_is_opened(visit: Any, tmp_path: Path) -> None:
     assert opened.asked["x_curr"][0] > 100
     expect(visit.locate("#drive")).to_have_attribute("aria-pressed", "false")
     expect(visit.locate("#drive-note")).to_be_hidden()
-
-
-DROP = """(element, [name, text]) => {
-  const dataTransfer = new DataTransfer();
-  dataTransfer.items.add(new File([text], name));
-  const fire = (type) =>
-    element.dispatchEvent(new DragEvent(type, { dataTransfer, bubbles: true, cancelable: true }));
-  fire("dragover");
-  const said = document.querySelector("#board").hasAttribute("data-drop");
-  return [said, fire("drop"), document.querySelector("#board").hasAttribute("data-drop")];
-}"""
-"""Drop a file: was the board marked, would the browser open it, and does the mark stay."""
-
-
-def test_a_drop_anywhere_on_the_page_opens_the_file(visit: Any) -> None:
-    for where, name in (("#board", "a.json"), ("#bundle", "b.json")):
-        outcome = visit.locate(where).evaluate(DROP, [name, '{"x_curr": [1, 2]}'])
-
-        assert outcome == [True, False, False]
-        expect(visit.locate("#scene-note")).to_contain_text(f"{name}: x_curr: expected 6 numbers")
 
 
 def test_a_saved_scene_is_a_request_and_opens_again(visit: Any, tmp_path: Path) -> None:
@@ -173,16 +184,3 @@ print("JSON", anchors.trajectories.tolist())
     said, _, paths = printed_by(sys.executable, program).rpartition("JSON ")
     assert f"{shown['safe'].count(True)} of 4 anchors are safe" in said
     np.testing.assert_allclose(json.loads(paths), shown["trajectories"], atol=1e-5)
-
-
-def test_a_copy_without_the_clipboard_leaves_the_focus_where_it_is(visit: Any) -> None:
-    """A page that came over plain HTTP from another machine has no clipboard."""
-    visit.page.evaluate(
-        "() => { navigator.clipboard.writeText = () => Promise.reject(new Error()); }"
-    )
-    visit.locate("#copy-curl").focus()
-
-    visit.page.keyboard.press("Enter")
-
-    expect(visit.locate("#scene-note")).to_have_text("Copied for curl.")
-    expect(visit.locate("#copy-curl")).to_be_focused()

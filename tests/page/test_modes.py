@@ -16,48 +16,27 @@ PATIENCE_MS = 60_000
 PHONE = {"has_touch": True, "is_mobile": True, "device_scale_factor": 2}
 
 
-def test_looking_at_an_anchor(visit: Any) -> None:
+def test_anchors_are_looked_at_coloured_and_replayed(visit: Any) -> None:
     expect(visit.locate("#anchor-name")).to_have_text("Best anchor")
     second = visit.locate("#best tbody button").nth(1)
     number = second.inner_text()
-
     second.focus()
-
     expect(visit.locate("#anchor-name")).to_have_text(f"Anchor {number}")
     visit.page.keyboard.press("Tab")
     expect(visit.locate("#anchor-name")).not_to_have_text(f"Anchor {number}")
 
-
-def test_hovering_a_line_shows_it(visit: Any) -> None:
-    visit.choose_empty_map()
-    visit.page.mouse.move(*visit.at((0.0, 3.5)))
-    expect(visit.locate("#anchor-name")).to_have_text("Best anchor")
-
-    visit.page.mouse.move(*visit.at((0.0, 0.0)))
-
-    expect(visit.locate("#charts .now")).to_have_count(3)
-    expect(visit.locate("#anchor-name")).not_to_have_text("Best anchor")
-
-
-def test_colours_stand_for_what_is_chosen(visit: Any) -> None:
     for by in ("speed", "clearance"):
         visit.page.wait_for_timeout(300)
         picture = visit.picture()
-
         visit.page.get_by_text(by.capitalize(), exact=True).first.click()
-
         expect(visit.locate("#legend")).to_have_attribute("data-by", by)
         visit.wait_for_another_picture(picture)
 
-
-def test_the_flow_is_replayed(visit: Any) -> None:
     visit.page.wait_for_timeout(300)
     finished = visit.picture()
-
     flow = visit.answer(
         lambda: visit.locate("#replay").click(), lambda asked: asked["seed"] == 0, to="/page/flow"
     )
-
     assert flow.answered["times"] == [0.0, 0.5, 1.0]
     assert np.array(flow.answered["positions"]).shape == (3, 64, 64, 2)
     expect(visit.locate("#scrub")).to_be_visible()
@@ -194,8 +173,14 @@ def test_a_robot_that_was_made_slower_drives_on_from_rest(
     assert back.max() < 0.03
 
 
-def test_the_keyboard_is_enough(visit: Any) -> None:
+def test_the_pointer_shows_a_line_and_the_keyboard_is_enough(visit: Any) -> None:
     visit.choose_empty_map()
+    visit.page.mouse.move(*visit.at((0.0, 3.5)))
+    expect(visit.locate("#anchor-name")).to_have_text("Best anchor")
+    visit.page.mouse.move(*visit.at((0.0, 0.0)))
+    expect(visit.locate("#charts .now")).to_have_count(3)
+    expect(visit.locate("#anchor-name")).not_to_have_text("Best anchor")
+
     visit.locate("[data-handle=goal]").focus()
     moved = visit.answer(
         lambda: visit.page.keyboard.press("Shift+ArrowDown"),

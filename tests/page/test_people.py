@@ -38,7 +38,9 @@ def crossing(visit: Any) -> Any:
     return visit
 
 
-def test_anchors_keep_clear_of_a_person_who_walks(crossing: Any) -> None:
+def test_anchors_keep_clear_of_a_person_who_walks_on_the_time_bar_and_is_saved(
+    crossing: Any, copied: Callable[[Any, str], str]
+) -> None:
     (person,) = people_in(crossing.exchange.asked)
     answered = crossing.exchange.answered
 
@@ -50,6 +52,43 @@ def test_anchors_keep_clear_of_a_person_who_walks(crossing: Any) -> None:
     apart = np.hypot(*(paths - person[:2] - times[..., None] * person[2:4]).transpose(2, 0, 1))
     assert apart[answered["safe"]].min() > person[4] + ROBOT_RADIUS
     crossing.keep("people.png")
+
+    longest = max(crossing.exchange.answered["dt"]) * 63
+    expect(crossing.locate("#walk-text")).to_have_text("0.0 s")
+    assert float(crossing.locate("#walk-time").get_attribute("max")) == pytest.approx(
+        longest, abs=0.05
+    )
+    crossing.page.wait_for_timeout(300)
+    now = crossing.picture()
+
+    crossing.locate("#walk-time").fill("2")
+    expect(crossing.locate("#walk-text")).to_have_text("2.0 s")
+    crossing.wait_for_another_picture(now)
+    crossing.keep("people_later.png")
+
+    crossing.locate("#walk-play").click()
+    expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Stop")
+    # It ends with the longest anchor.
+    expect(crossing.locate("#walk-text")).to_have_text(f"{longest:.1f} s", timeout=PATIENCE_MS)
+    expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Play")
+    expect(crossing.locate("#replay")).to_be_disabled()
+
+    with crossing.page.expect_download() as download:
+        crossing.locate("#save").click()
+    text = download.value.path().read_text()
+    saved = people_in(json.loads(text))
+    assert saved == pytest.approx(people_in(crossing.exchange.asked))
+    assert "obstacles={" in copied(crossing, "#copy-python")
+
+    crossing.answer(
+        lambda: crossing.locate("#another").click(), lambda asked: not len(people_in(asked))
+    )
+    scene = {"name": "scene.json", "mimeType": "application/json", "buffer": text.encode()}
+    opened = crossing.answer(
+        lambda: crossing.locate("#files").set_input_files(scene),
+        lambda asked: len(people_in(asked)),
+    )
+    assert people_in(opened.asked) == pytest.approx(saved)
 
 
 def test_a_person_is_moved_and_removed_by_keyboard(crossing: Any) -> None:
@@ -87,28 +126,6 @@ def test_people_are_put_by_keyboard_and_erased(visit: Any) -> None:
     visit.answer(lambda: visit.drag(above, below), lambda asked: not len(people_in(asked)))
 
 
-def test_the_time_bar_shows_who_is_where(crossing: Any) -> None:
-    longest = max(crossing.exchange.answered["dt"]) * 63
-    expect(crossing.locate("#walk-text")).to_have_text("0.0 s")
-    assert float(crossing.locate("#walk-time").get_attribute("max")) == pytest.approx(
-        longest, abs=0.05
-    )
-    crossing.page.wait_for_timeout(300)
-    now = crossing.picture()
-
-    crossing.locate("#walk-time").fill("2")
-    expect(crossing.locate("#walk-text")).to_have_text("2.0 s")
-    crossing.wait_for_another_picture(now)
-    crossing.keep("people_later.png")
-
-    crossing.locate("#walk-play").click()
-    expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Stop")
-    # It ends with the longest anchor.
-    expect(crossing.locate("#walk-text")).to_have_text(f"{longest:.1f} s", timeout=PATIENCE_MS)
-    expect(crossing.locate("#walk-play")).to_have_attribute("aria-label", "Play")
-    expect(crossing.locate("#replay")).to_be_disabled()
-
-
 def test_people_walk_while_the_robot_drives(crossing: Any) -> None:
     pace = people_in(crossing.exchange.asked)[0, 3]
     first = crossing.answer(
@@ -124,22 +141,3 @@ def test_people_walk_while_the_robot_drives(crossing: Any) -> None:
     assert people_in(back.asked)[0, 1] < 4.8
     crossing.locate("#drive").click()
     expect(crossing.locate("#walk")).to_be_visible()
-
-
-def test_a_saved_scene_has_its_people(crossing: Any, copied: Callable[[Any, str], str]) -> None:
-    with crossing.page.expect_download() as download:
-        crossing.locate("#save").click()
-    text = download.value.path().read_text()
-    saved = people_in(json.loads(text))
-    assert saved == pytest.approx(people_in(crossing.exchange.asked))
-    assert "obstacles={" in copied(crossing, "#copy-python")
-
-    crossing.answer(
-        lambda: crossing.locate("#another").click(), lambda asked: not len(people_in(asked))
-    )
-    scene = {"name": "scene.json", "mimeType": "application/json", "buffer": text.encode()}
-    opened = crossing.answer(
-        lambda: crossing.locate("#files").set_input_files(scene),
-        lambda asked: len(people_in(asked)),
-    )
-    assert people_in(opened.asked) == pytest.approx(saved)
