@@ -10,7 +10,15 @@ from anchorflow_service.bundle.entries import STATUS, GuardEntry
 from anchorflow_service.bundle.manifest import OTHERS, Manifest
 from anchorflow_service.engine.guard import SCORES, car_of, raster_of
 from anchorflow_service.engine.interfaces import Array, Arrays, ConditionedScene, Samples
-from anchorflow_service.engine.late import ACCELERATION, POSE, LatePlans, speed_of, yaw_rate_of
+from anchorflow_service.engine.late import (
+    ACCELERATION,
+    POSE,
+    SLOWEST_TURN,
+    LatePlans,
+    departure_of,
+    speed_of,
+    yaw_rate_of,
+)
 from anchorflow_service.engine.later_loops import FORESIGHT_LOOPS
 from anchorflow_trajectory.car.foresight import (
     Foreseen,
@@ -53,7 +61,7 @@ class Foresight:
         futures: outputs of the graph `futures`
         """
         FORESIGHT_LOOPS.require()
-        plans = self._late.as_driven(samples.states, scene)[..., :POSE].astype(np.float64)
+        plans = self._late.answered(samples.states[..., :POSE], scene).astype(np.float64)
         car, own = car_of(self._entry, scene), samples.arrays[SCORES]
         foreseen = self._foreseen(samples, scene, futures)
         wheelbase = 2 * WHEELBASE * car.half_length
@@ -67,7 +75,7 @@ class Foresight:
         assert self._entry.occupied is not None
         occupied = raster_of(self._entry.occupied, samples.context)
         return Foreseen(
-            poses=foreseen_poses(now, futures[FUTURES][there]),
+            poses=foreseen_poses(now, futures[FUTURES][there], from_s=scene.request.delay_s),
             probabilities=futures[FUTURE_PROBABILITIES][there].astype(np.float64),
             half=half,
             standing=standing_places(occupied, now, half),
@@ -76,7 +84,12 @@ class Foresight:
 
 
 def _state(scene: ConditionedScene) -> EgoState:
-    """Return how a scene's car moves now."""
-    speed, pull = max(speed_of(scene), 0.0), scene.inputs((STATUS,))[STATUS][0, ACCELERATION]
+    """Return how a scene's car moves when its plan begins; until then its rates are their means."""
+    speed, departure = max(speed_of(scene), 0.0), departure_of(scene)
+    if departure is not None:
+        pull, way = (departure.speed - speed) / departure.time, np.hypot(*departure.pose[:2])
+        curvature = departure.pose[2] / way if way > SLOWEST_TURN * departure.time else 0.0
+        return EgoState(departure.pose, departure.speed, pull, float(curvature))
+    pull = scene.inputs((STATUS,))[STATUS][0, ACCELERATION]
     curvature = yaw_rate_of(scene) / speed if speed else 0.0
     return EgoState(np.zeros(POSE), speed, float(pull), curvature)

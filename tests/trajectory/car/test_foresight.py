@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from anchorflow_driving.geometry import out_of_frame
 from anchorflow_driving.pdm.collisions import LOOKAHEAD_FRAMES, find_contacts
 from anchorflow_driving.pdm.traffic import Others
 from anchorflow_driving.window import Vehicle
@@ -117,6 +118,20 @@ def test_off_the_road_nothing_is_worth_anything() -> None:
 def test_others_go_straight_from_pose_to_pose_and_on() -> None:
     poses = box(10.0, speeds=(6.0,))[0, 0]
     np.testing.assert_allclose(poses[:, 0], 10.0 + 0.6 * np.arange(50), atol=1e-9)
+    futures = np.stack([10.0 + 6.0 * PLAN_TIMES, 0 * PLAN_TIMES, 0 * PLAN_TIMES], -1)[None, None]
+    later = foreseen_poses(np.array([[10.0, 0.0, 0.0]]), futures, from_s=0.7)[0, 0]
+    np.testing.assert_allclose(later[:, 0], poses[:, 0] + 4.2, atol=1e-9)
+
+
+def test_a_plan_that_begins_elsewhere_is_worth_the_same_there() -> None:
+    start, plans = np.array([3.0, 1.0, 0.4]), straight(8.0, 0.0)
+    foreseen = among(box(25.0, 1.5, speeds=(0.0, 6.0)), chances=(0.5, 0.5))
+    poses = np.asarray(out_of_frame(foreseen.poses.astype(np.float64), start))
+    here, elsewhere = value(plans, foreseen), replace(foreseen, poses=poses)
+    state = replace(START, pose=start)
+    there = worth(out_of_frame(plans, start), state, CAR, elsewhere, wheelbase=WHEELBASE)
+    np.testing.assert_allclose(here, there, atol=1e-6)
+    assert 0.0 < here[0] < here[1]
 
 
 def test_the_referee_says_the_same_of_who_is_ahead() -> None:

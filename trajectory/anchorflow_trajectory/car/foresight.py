@@ -56,7 +56,7 @@ LEAST = 0.1
 class Foreseen:
     """What is there, in the frame of the rear axle now.
 
-    poses: [A,M,50,3] of the others' middles in each mode, FRAME_S apart from now on
+    poses: [A,M,50,3] of the others' middles in each mode, FRAME_S apart from the start on
     probabilities: [A,M]; half: [A,2] half lengths and widths
     standing: [P,2] places that something else takes
     road: one layer, how sure each cell is road
@@ -69,8 +69,9 @@ class Foreseen:
     road: Raster
 
 
-def foreseen_poses(now: FloatArray, futures: FloatArray) -> FloatArray:
-    """Return poses [A,M,50,3] of others at `now` [A,3] and then at futures [A,M,8,3].
+def foreseen_poses(now: FloatArray, futures: FloatArray, *, from_s: float = 0.0) -> FloatArray:
+    """Return poses [A,M,50,3] from `from_s` on of others at `now` [A,3] and then at futures
+    [A,M,8,3].
 
     After their last poses the others go on as in the last step.
     """
@@ -80,7 +81,7 @@ def foreseen_poses(now: FloatArray, futures: FloatArray) -> FloatArray:
     after = 2 * poses[:, :, -1:] - poses[:, :, -2:-1]
     after[..., 2] = poses[:, :, -1:, 2]
     poses = np.concatenate([poses, after], 2)
-    place = np.arange(STEPS + 1 + LAST_LOOK) * FRAME_S / PLAN_TIMES[0]
+    place = (from_s + np.arange(STEPS + 1 + LAST_LOOK) * FRAME_S) / PLAN_TIMES[0]
     leg = np.minimum(place.astype(int), len(PLAN_TIMES))
     share = (place - leg)[:, None]
     return poses[:, :, leg] * (1 - share) + poses[:, :, leg + 1] * share
@@ -105,11 +106,11 @@ def standing_places(occupied: Raster, now: FloatArray, half: FloatArray) -> Floa
 def worth(
     plans: FloatArray, start: EgoState, car: Car, foreseen: Foreseen, *, wheelbase: float
 ) -> FloatArray:
-    """Return what plans [N,8,3] at 0.5 … 4.0 s are worth, [N] in [0, 1].
+    """Return what plans [N,8,3] at 0.5 … 4.0 s after their start are worth, [N] in [0, 1].
 
-    start: at the origin, along x; wheelbase: m
+    start: where they begin, and from when on the others are foreseen; wheelbase: m
     """
-    poses = np.concatenate([np.zeros((len(plans), 1, 3)), plans], 1)
+    poses = np.concatenate([np.tile(start.pose, (len(plans), 1, 1)), plans], 1)
     motion = track(interpolate(np.asarray(poses, np.float64)), start, wheelbase=wheelbase)
     clear, ahead = _chances(motion, car, foreseen)
     kept = clear * _on_road(motion, car, foreseen.road)
