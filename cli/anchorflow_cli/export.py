@@ -17,7 +17,7 @@ from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.futures import add_futures
 from anchorflow_export.planners import adapter_of, check_used, choices_of
-from anchorflow_export.quantization import quantize_bundle
+from anchorflow_export.quantization import quantize_bundle, rounded_graphs
 from anchorflow_export.tracing import ExportError
 from anchorflow_models.futures import FuturesNetwork
 from anchorflow_service.bundle import load_bundle
@@ -138,7 +138,7 @@ def export(
         for difference in export_bundle(adapter, description, out=out):
             typer.echo(str(difference))
         if int8 or rounded:
-            typer.echo(str(quantize_bundle(out)))
+            typer.echo(str(quantize_bundle(out, like=rounded)))
     typer.echo(f"{out}: {description.name} {description.version}")
 
 
@@ -156,20 +156,19 @@ def _sigterm_cleans_up() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _like(path: Path | None, checkpoint: Checkpoint) -> tuple[str, bool, dict[str, Any]]:
-    """Return the name, whether it is in eight bits, and the choices of a bundle, if there is one.
+def _like(path: Path | None, checkpoint: Checkpoint) -> tuple[str, dict[str, Any], dict[str, Any]]:
+    """Return the name, the graphs in eight bits, and the choices of a bundle, if there is one.
 
     Raises `ExportError` if it is of another planner than the checkpoint.
     """
     if path is None:
-        return _name(checkpoint), False, {}
+        return _name(checkpoint), {}, {}
     bundle = load_bundle(path)
     manifest = bundle.manifest
     if manifest.planner != checkpoint.planner:
         expected = f"expected a bundle of {checkpoint.planner}, got one of {manifest.planner}"
         raise ExportError(f"like: {path}: {expected}")
-    precisions = {graph.precision for graph in manifest.graphs.values()}
-    return manifest.name, "int8" in precisions, choices_of(bundle)
+    return manifest.name, rounded_graphs(bundle), choices_of(bundle)
 
 
 def _name(checkpoint: Checkpoint) -> str:

@@ -9,13 +9,15 @@ from __future__ import annotations
 import hashlib
 import logging
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import onnx
+from numpy.typing import NDArray
+from onnx import numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
 from anchorflow_client.contract import CostMapSpec, OdeSpec, resolve_for_card
@@ -35,16 +37,20 @@ SCENES = 4
 CALIBRATION = 16  # scenes
 CELLS = {"H": 64, "W": 48}  # of the random maps
 ANCHORS = 9
+NEARLY, MOST = 2.0, 64.5  # ratio of scales that are kept; numbers of a weight, in its scale
 ROUNDED = {"encode": ("Conv", 0), "field": ("MatMul", 1)}
 """Kind of node to quantize in each graph, and how many of them at its beginning to leave out: the
 field's first product reads states, whose numbers vary most, and rounding it moves samples ten times
 as far."""
 
 
-def quantize_bundle(path: Path) -> Difference:
+def quantize_bundle(path: Path, *, like: Mapping[str, onnx.GraphProto] | None = None) -> Difference:
     """Replace a bundle's field and encoder by eight-bit ones.
 
     Returns the root mean square in m by which its samples moved.
+
+    like: the `rounded_graphs` of a bundle from whose weights training went on: their scales are
+        kept where those of this one differ little, so that equal weights become equal graphs
 
     Raises:
         BundleError: there is no sound bundle at that path, which stays what it is.
@@ -59,12 +65,22 @@ def quantize_bundle(path: Path) -> Difference:
     with into_place(path) as folder:
         shutil.copytree(path, folder, dirs_exist_ok=True)
         scenes = random_scenes(bundle, CALIBRATION, seed=1)
-        asked = {"encode": _of_encode(bundle, scenes), "field": _of_field(bundle, scenes)}
-        rounded = {role: _rounded(bundle, role, inputs, folder) for role, inputs in asked.items()}
+        asked = {"encode": [*_of_encode(bundle, scenes)], "field": [*_of_field(bundle, scenes)]}
+        rounded = {
+            role: _rounded(bundle, role, inputs, folder, (like or {}).get(role))
+            for role, inputs in asked.items()
+        }
         graphs = bundle.manifest.graphs | rounded
         manifest = bundle.manifest.model_copy(update={"graphs": graphs})
         (folder / FILE_NAME).write_bytes(manifest.to_json())
         return _moved(bundle, load_bundle(folder))
+
+
+def rounded_graphs(bundle: Bundle) -> dict[str, onnx.GraphProto]:
+    """Return the graphs of a bundle that are in eight bits."""
+    graphs = bundle.manifest.graphs.items()
+    rounded = [role for role, entry in graphs if entry.precision == "int8"]
+    return {role: onnx.load(bundle.graph_path(role)).graph for role in rounded}
 
 
 def random_scenes(bundle: Bundle, count: int, *, seed: int) -> list[MapScene]:
@@ -74,14 +90,27 @@ def random_scenes(bundle: Bundle, count: int, *, seed: int) -> list[MapScene]:
     return list(scenes)
 
 
-def _rounded(bundle: Bundle, role: str, inputs: Iterator[Arrays], folder: Path) -> GraphEntry:
-    """Write a graph in eight bits, with scales calibrated on the inputs."""
+def _rounded(
+    bundle: Bundle, role: str, inputs: Sequence[Arrays], folder: Path, like: onnx.GraphProto | None
+) -> GraphEntry:
+    """Write a graph in eight bits, with scales calibrated on the inputs or those of `like`."""
     entry, path = bundle.manifest.graphs[role], bundle.graph_path(role)
+    _write_rounded(path, folder / entry.file, role, inputs, {})
+    if like is not None:
+        kept = _kept_scales(path, folder / entry.file, like)
+        _write_rounded(path, folder / entry.file, role, inputs, kept)
+    digest = hashlib.sha256((folder / entry.file).read_bytes()).hexdigest()
+    return entry.model_copy(update={"sha256": digest, "precision": "int8"})
+
+
+def _write_rounded(
+    path: Path, out: Path, role: str, inputs: Sequence[Arrays], scales: Mapping[str, Any]
+) -> None:
     with _quiet_quantizer():
         quantize_static(
             path,
-            folder / entry.file,
-            _Calibration(inputs),
+            out,
+            _Calibration(iter(inputs)),
             quant_format=QuantFormat.QDQ,
             activation_type=QuantType.QUInt8,
             weight_type=QuantType.QInt8,
@@ -89,10 +118,58 @@ def _rounded(bundle: Bundle, role: str, inputs: Iterator[Arrays], folder: Path) 
             # Seven bits of weight: on a processor without VNNI, sums of eight would saturate.
             reduce_range=True,
             nodes_to_quantize=_nodes_with_weights(path, *ROUNDED[role]),
-            extra_options={"OpTypesToExcludeOutputQuantization": ["MatMul"]},
+            extra_options={
+                "OpTypesToExcludeOutputQuantization": ["MatMul"],
+                "TensorQuantOverrides": dict(scales),
+            },
         )
-    digest = hashlib.sha256((folder / entry.file).read_bytes()).hexdigest()
-    return entry.model_copy(update={"sha256": digest, "precision": "int8"})
+
+
+def _kept_scales(
+    whole: Path, rounded: Path, like: onnx.GraphProto
+) -> dict[str, list[dict[str, Any]]]:
+    """Return the scales of `like` that are to be kept, as onnxruntime's quantizer takes them.
+
+    One is kept if its ratio to that of `rounded`, which was made from `whole`, is below `NEARLY`;
+    those of a weight's channels all or none, and only if no number is beyond its range.
+    """
+    weights, own = (_arrays(onnx.load(each).graph) for each in (whole, rounded))
+    theirs, axes = _arrays(like), _axes(like)
+    kept: dict[str, list[dict[str, Any]]] = {}
+    for name, scale in theirs.items():
+        tensor = name.removesuffix("_scale")
+        is_bias = tensor.endswith("_quantized")  # the quantizer multiplies the scales it is used at
+        if tensor == name or is_bias or name not in own or own[name].shape != scale.shape:
+            continue
+        if not (np.abs(np.log(own[name] / scale)) < np.log(NEARLY)).all():
+            continue
+        axis = {"axis": axes[f"{tensor}_quantized"]} if scale.ndim else {}
+        if scale.ndim and _largest(weights[tensor], axis["axis"], scale) > MOST:
+            continue
+        zeros = np.atleast_1d(theirs[f"{tensor}_zero_point"])
+        kept[tensor] = [
+            {"scale": np.asarray(one), "zero_point": np.asarray(zero), **axis}
+            for one, zero in zip(np.atleast_1d(scale), zeros, strict=True)
+        ]
+    return kept
+
+
+def _largest(weight: NDArray[Any], axis: int, scale: NDArray[Any]) -> float:
+    """Return the largest of a weight's numbers in units of the scales of its channels."""
+    along = [-1 if k == axis % weight.ndim else 1 for k in range(weight.ndim)]
+    return float(np.abs(weight / scale.reshape(along)).max())
+
+
+def _axes(graph: onnx.GraphProto) -> dict[str, int]:
+    """Return the axes of the channels of rounded weights, by their names."""
+    nodes = (node for node in graph.node if node.op_type == "DequantizeLinear")
+    return {
+        node.input[0]: next((a.i for a in node.attribute if a.name == "axis"), 1) for node in nodes
+    }
+
+
+def _arrays(graph: onnx.GraphProto) -> dict[str, NDArray[Any]]:
+    return {each.name: numpy_helper.to_array(each) for each in graph.initializer}
 
 
 class _Calibration(CalibrationDataReader):

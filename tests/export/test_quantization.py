@@ -10,10 +10,11 @@ import numpy as np
 import onnx
 import pytest
 from exported_bundles import export_once
+from onnx import numpy_helper
 
 from anchorflow_client.contract import OdeSpec
 from anchorflow_export.planners import check_used
-from anchorflow_export.quantization import quantize_bundle, random_scenes
+from anchorflow_export.quantization import quantize_bundle, random_scenes, rounded_graphs
 from anchorflow_export.tracing import ExportError
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, BundleError, load_bundle
 from anchorflow_service.bundle.graphs import OnnxGraphs
@@ -47,6 +48,29 @@ def test_field_and_encoder_are_rounded(bundle: Path, caplog: pytest.LogCaptureFi
     assert manifest.graphs["modulate"] == before.graphs["modulate"]
     assert [path.name for path in bundle.parent.iterdir()] == ["bundle"]
     assert caplog.records == []
+
+
+def test_scales_of_a_bundle_like_it_are_kept_where_they_nearly_fit(
+    bundle: Path, tmp_path: Path
+) -> None:
+    whole = shutil.copytree(bundle, tmp_path / "whole")
+    quantize_bundle(bundle)
+    graphs = rounded_graphs(load_bundle(bundle))
+    held = {each.name: each for each in graphs["field"].initializer}
+    scales = [n for n in held if n.endswith("_scale") and not n.endswith("_quantized_scale")]
+    activations = [name for name in scales if not held[name].dims]
+    weight = next(name for name in scales if held[name].dims)
+    wanted = {activations[0]: 1.5, activations[1]: 4.0, weight: 1.2}
+    given = {name: numpy_helper.to_array(held[name]).copy() for name in wanted}
+    for name, factor in wanted.items():
+        held[name].CopyFrom(numpy_helper.from_array(given[name] * np.float32(factor), name))
+
+    quantize_bundle(whole, like=graphs)
+
+    found = rounded_graphs(load_bundle(whole))["field"].initializer
+    got = {each.name: numpy_helper.to_array(each) for each in found if each.name in wanted}
+    for name, kept in ((activations[0], 1.5), (activations[1], 1.0), (weight, 1.2)):
+        np.testing.assert_allclose(got[name], given[name] * kept, rtol=1e-6)
 
 
 def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(bundle: Path) -> None:
