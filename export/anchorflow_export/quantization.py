@@ -37,7 +37,7 @@ SCENES = 4
 CALIBRATION = 16  # scenes
 CELLS = {"H": 64, "W": 48}  # of the random maps
 ANCHORS = 9
-NEARLY, MOST = 2.0, 64.5  # ratio of scales that are kept; numbers of a weight, in its scale
+NEARLY, MOST = 3.0, 64.5  # ratio of scales that are kept; numbers of a weight, in its scale
 ROUNDED = {"encode": ("Conv", 0), "field": ("MatMul", 1)}
 """Kind of node to quantize in each graph, and how many of them at its beginning to leave out: the
 field's first product reads states, whose numbers vary most, and rounding it moves samples ten times

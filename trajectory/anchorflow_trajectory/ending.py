@@ -29,7 +29,7 @@ def among_movers(scene: Scene) -> Scene:
     start, goal, dim = scene.x_curr[:2], scene.x_goal[:2], len(scene.x_goal) // 2
     velocity, goal_velocity = scene.x_curr[dim : dim + 2], scene.x_goal[dim : dim + 2]
     horizon, motion, route = scene.motion.horizon_s, scene.motion, scene.cheapest
-    about, within = start, np.inf
+    about, within, is_late = start, np.inf, False
     if horizon is None:
         aside, usual = goal_velocity, nominal_duration(scene.shortest_way, motion)
         times = [usual, *(usual + wait for wait in WAITS)]
@@ -38,7 +38,7 @@ def among_movers(scene: Scene) -> Scene:
         asked = float(np.linalg.norm(goal_velocity))
         if motion.most_way(horizon, begin, asked) < route.length:
             speed = motion.speed_at(route.length + asked**2 / motion.a_max, horizon, begin)
-            reach = motion.most_way(horizon, begin, speed)
+            reach, is_late = motion.most_way(horizon, begin, speed, is_late=True), True
             goal, ahead = place_along(route.points, reach)
             goal_velocity = speed * ahead
         slowest = velocity * (motion.least_speed(horizon, begin) / max(begin, TINY))
@@ -54,7 +54,7 @@ def among_movers(scene: Scene) -> Scene:
         goal_velocity = aside
     x_goal = scene.x_goal.copy()
     x_goal[:2], x_goal[dim : dim + 2] = place, goal_velocity
-    return replace(scene, x_goal=x_goal)
+    return replace(scene, x_goal=x_goal, is_late=is_late)
 
 
 def ending_at(scene: Scene, place: FloatArray) -> Scene:

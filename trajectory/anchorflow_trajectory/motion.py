@@ -15,6 +15,7 @@ LEAST_RAMP = 0.12  # share of a duration; a spline cannot follow a steeper one
 FAST, SPEEDS = 0.97, 20  # share of v_max in a hurry, and speeds tried
 CRUISES = (0.5, 1.0, 11)  # the least share of v_max, the greatest, and how many are tried
 QUICK, GENTLE = 0.7, 0.65  # shares of a_max while speeding up and while braking
+LATE = 0.985, 0.9  # shares of v_max, and of a_max while speeding up, of who is late
 CRUISE = 0.9  # share of v_max at pace 1: the bends of a spline overshoot
 
 
@@ -40,11 +41,17 @@ class MotionLimits:
             return length / self.v_max + self.v_max / self.a_max
         return 2.0 * (max(length, 0.0) / self.a_max) ** 0.5
 
-    def most_way(self, duration: float, begin: float, end: float = 0.0) -> float:
-        """Return about how many m can be covered smoothly in `duration` s, between two speeds."""
-        quicker, slower = QUICK * self.a_max, GENTLE * self.a_max
+    def most_way(
+        self, duration: float, begin: float, end: float = 0.0, *, is_late: bool = False
+    ) -> float:
+        """Return about how many m can be covered smoothly in `duration` s, between two speeds.
+
+        is_late: by one who goes nearer to the limits
+        """
+        (fast, quick), gentle = LATE if is_late else (FAST, QUICK), GENTLE
+        quicker, slower = quick * self.a_max, gentle * self.a_max
         top = (duration + begin / quicker + end / slower) / (1.0 / quicker + 1.0 / slower)
-        top = max(min(top, FAST * self.v_max), end)
+        top = max(min(top, fast * self.v_max), end)
         rise, fall = (top - begin) / quicker, (top - end) / slower
         way = 0.5 * (top + begin) * rise + 0.5 * (top + end) * fall
         return way + top * max(duration - rise - fall, 0.0)
@@ -65,7 +72,7 @@ class MotionLimits:
         return max(begin - GENTLE * self.a_max * duration, 0.0)
 
     def speed_at(self, way: float, duration: float, begin: float) -> float:
-        """Return the speed after `duration` s [m/s] of who will come to rest after `way` m.
+        """Return the speed after `duration` s [m/s] of who is late and will rest after `way` m.
 
         It is 0 if that can be reached in time, and no more than can be reached.
 
@@ -73,7 +80,8 @@ class MotionLimits:
         """
         least = self.least_speed(duration, begin)
         for end in np.linspace(least, FAST * self.v_max, SPEEDS).tolist():
-            if self.most_way(duration, begin, end) + end**2 / (2.0 * GENTLE * self.a_max) >= way:
+            driven = self.most_way(duration, begin, end, is_late=True)
+            if driven + end**2 / (2.0 * GENTLE * self.a_max) >= way:
                 return end
         return FAST * self.v_max
 

@@ -63,6 +63,7 @@ DETOUR = 1.5  # times a tight route that a roomy one may be long
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
+LATE = CostWeights(smooth=0.1, limit_share=0.985)  # of who is late: less smooth, nearer to limits
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -80,6 +81,7 @@ class Scene:
     cost_penalty: m of detour that one metre through soft cost 1 is worth
     channel_weights: [C - 1] of traversability, risk and further channels; none: 1 each
     movers: what moves, from the moment of x_curr on
+    is_late: whether the goal as it was asked for is out of reach within the horizon
     """
 
     cost_map: NDArray[np.float32]
@@ -95,6 +97,7 @@ class Scene:
     cost_penalty: float = COST_PENALTY
     channel_weights: FloatArray | None = None
     movers: MovingDiscs | None = None
+    is_late: bool = False
 
     @cached_property
     def occupied(self) -> NDArray[np.bool_]:
@@ -315,6 +318,7 @@ class Scene:
             self.effective_style,
             self.reference_s,
             margin,
+            weights=LATE if self.is_late else CostWeights(),
             cruise=self._cruise,
         )
 
