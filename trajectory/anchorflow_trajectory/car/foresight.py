@@ -126,9 +126,9 @@ def worth(
 def _chances(motion: Motion, car: Car, foreseen: Foreseen) -> tuple[FloatArray, FloatArray]:
     """Return the chances [N] of NC and TTC."""
     count, modes = foreseen.probabilities.shape
-    boxes = np.ascontiguousarray(foreseen.poses.reshape(count * modes, *foreseen.poses.shape[2:]))
+    boxes = _frames(foreseen.poses.reshape(count * modes, *foreseen.poses.shape[2:]))
     body = np.array([car.middle, car.half_length, car.side])
-    poses, speed = np.ascontiguousarray(motion.poses), np.ascontiguousarray(motion.speed)
+    poses, speed = _frames(motion.poses), np.ascontiguousarray(motion.speed)
     touched = np.zeros((2, len(poses), len(boxes)))
     _touched(poses, speed, body, boxes, foreseen.half.repeat(modes, 0), _standing(boxes), touched)
     share = touched.reshape(2, len(poses), count, modes) * foreseen.probabilities
@@ -138,8 +138,14 @@ def _chances(motion: Motion, car: Car, foreseen: Foreseen) -> tuple[FloatArray, 
     return clear * (1 - STATIC_PENALTY * stood[0]), ahead * (1 - stood[1])
 
 
+def _frames(poses: FloatArray) -> FloatArray:
+    """Return x, y, cos, sin [...,4] of poses [...,3]."""
+    x, y, heading = np.moveaxis(poses, -1, 0)
+    return np.stack([x, y, np.cos(heading), np.sin(heading)], -1)
+
+
 def _standing(boxes: FloatArray) -> BoolArray:
-    """Return [B,S] whether boxes [B,S,3] stand then."""
+    """Return [B,S] whether boxes [B,S,4] stand then."""
     moved = np.linalg.norm(np.diff(boxes[..., :2], axis=1), axis=-1)
     return np.concatenate([moved, moved[:, -1:]], 1) <= STANDS * FRAME_S
 
@@ -168,8 +174,8 @@ def _on_road(motion: Motion, car: Car, road: Raster) -> FloatArray:
 def _touched(poses, speed, body, boxes, half, stands, touched):
     """Write to [2,N,B] which motions are at fault for touching a box, and which leave it no time.
 
-    Their first contact decides. poses: [N,S,3] of the rear axle; speed: [N,S]; boxes:
-    [B,S + LAST_LOOK,3]
+    Their first contact decides. poses: [N,S,4] of the rear axle; speed: [N,S]; boxes:
+    [B,S + LAST_LOOK,4]; both are x, y, cos, sin
     """
     count, steps = speed.shape
     done = np.zeros((2, count, len(boxes)), np.bool_)
@@ -220,16 +226,15 @@ def _near(poses, speed, body, boxes, half, i, near, reach):
 def _contact(poses, speed, body, boxes, half, n, i, b, look):
     """The rad off the heading at which a car touches a box if it goes on for `look` steps; -1 if it
     does not."""
-    heading = poses[n, i, 2]
-    cos, sin = np.cos(heading), np.sin(heading)
+    cos, sin = poses[n, i, 2], poses[n, i, 3]
     dx, dy = boxes[b, i + look, 0] - poses[n, i, 0], boxes[b, i + look, 1] - poses[n, i, 1]
     ahead = dx * cos + dy * sin - body[0] - speed[n, i] * look * FRAME_S
     aside = dy * cos - dx * sin
     length, width = half[b, 0], half[b, 1]
     if abs(ahead) + abs(aside) > 2 * (body[1] + body[2] + length + width):
         return -1.0
-    turn = boxes[b, i + look, 2] - heading
-    c, s = np.cos(turn), np.sin(turn)
+    box_cos, box_sin = boxes[b, i + look, 2], boxes[b, i + look, 3]
+    c, s = box_cos * cos + box_sin * sin, box_sin * cos - box_cos * sin
     turned, tilted = abs(c), abs(s)
     if abs(ahead) > body[1] + length * turned + width * tilted:
         return -1.0
@@ -249,7 +254,7 @@ def _touches(poses, speed, body, places, touched):
     for n in range(count):
         for i in range(steps):
             x, y = poses[n, i, 0], poses[n, i, 1]
-            cos, sin, v = np.cos(poses[n, i, 2]), np.sin(poses[n, i, 2]), speed[n, i]
+            cos, sin, v = poses[n, i, 2], poses[n, i, 3], speed[n, i]
             if v < MOVES:
                 continue
             most = v * LAST_LOOK * FRAME_S
