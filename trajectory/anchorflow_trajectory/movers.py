@@ -14,7 +14,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.caching import cached_property
-from anchorflow_trajectory.compiled import compiled, compiled_part
+from anchorflow_trajectory.compiled import compiled_part
 
 SMALL_BULGE = 0.01  # m from the chord of two samples, beyond which a leg is cut
 MOST_PIECES = 64  # of a leg

@@ -136,9 +136,9 @@ def look_up_lanes(
 
 @compiled_part
 def _cell(grid: Grid, x: float, y: float) -> tuple[Any, ...]:
-    """Row and column of the cell below and left of a place, then of that above and right of it; and
+    """Row and column of the cells below left and above right of a place, and where it is there.
 
-    the shares of the way to the right and up, and by how many cells it is off the outermost centres.
+    That is the shares of the way to the right and up, and how many cells off the outermost centres.
     """
     u, v = x * grid.cells_per_m - grid.first_x, y * grid.cells_per_m - grid.first_y
     # This order of arguments clamps a NaN to the first cell.
