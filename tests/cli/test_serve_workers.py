@@ -138,11 +138,9 @@ def test_two_workers_from_their_start_to_the_loss_of_their_supervisor(
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
 ) -> None:
-    """They count together, keep their models, and those that are lost are replaced unnoticed; one
-    that cannot be replaced is tried again while the other serves."""
+    """They count together, keep their models, and those that are lost are replaced unnoticed."""
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    bundle = Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "bundle"))
-    served = start("--drain-s", "3e6", "--bundle", str(bundle))
+    served = start("--drain-s", "3e6")
     known = workers_of(served)
     assert served.line.startswith("flowmp-small ")
     assert served.line.endswith("), 2 workers")
@@ -171,21 +169,8 @@ def test_two_workers_from_their_start_to_the_loss_of_their_supervisor(
     assert workers_of(served) == {fourth, fifth}
     assert 20 <= counted(served.url) <= crowd.answers
 
-    manifest = bundle / "manifest.json"
-    whole = manifest.read_bytes()
-    manifest.unlink()
-    os.kill(fourth, signal.SIGKILL)
-    assert served.process.stderr is not None
-    reason = f"a worker cannot start: {manifest}: cannot be read: No such file or directory"
-    assert reason in served.process.stderr.readline()
-    with RetryingClient(AnchorClient(served.url)) as client:
-        assert client.plan_request(REQUEST).model.name == "flowmp-small"
-    manifest.write_bytes(whole)
-
-    left = workers_of(served)
-    assert fifth in left
     served.process.kill()
-    until(lambda: all(map(is_gone, left)))
+    until(lambda: all(map(is_gone, (fourth, fifth))))
 
 
 def test_a_signal_to_every_process_is_one_signal(start: Callable[..., Served], until: Any) -> None:
@@ -205,6 +190,27 @@ def test_a_signal_to_every_process_is_one_signal(start: Callable[..., Served], u
     assert served.ended() == (0, [])
     assert all(map(is_gone, workers))
     assert not AnchorClient(served.url).live()
+
+
+def test_a_worker_that_cannot_be_replaced_is_tried_again_while_another_serves(
+    start: Callable[..., Served], tmp_path: Path
+) -> None:
+    bundle = Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "bundle"))
+    served = start("--bundle", str(bundle))
+    before = workers_of(served)
+    manifest = bundle / "manifest.json"
+    whole = manifest.read_bytes()
+    manifest.unlink()
+
+    os.kill(min(before), signal.SIGKILL)
+    assert served.process.stderr is not None
+    reason = f"a worker cannot start: {manifest}: cannot be read: No such file or directory"
+    assert reason in served.process.stderr.readline()
+    with RetryingClient(AnchorClient(served.url)) as client:
+        assert client.plan_request(REQUEST).model.name == "flowmp-small"
+
+    manifest.write_bytes(whole)
+    assert served.ended(signal.SIGINT)[0] == 0
 
 
 def test_workers_that_cannot_start_end_the_command(

@@ -42,7 +42,8 @@ HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
 SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the reference time off
-LONGER_STEPS, MOST_LONGER, MOST_BESIDE = 150, 8, 2
+LONGER_STEPS = 150
+MOST_LONGER, MOST_BESIDE = 8, 2  # starts of a route that get it; beside other routes that are safe
 POLISH = OptimisationPass(RESTART_STEPS, RESTART_RATE, shares=HURRIED)
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
 DODGE = OptimisationPass(60, RESTART_RATE, slowed_after=True)  # where no anchor is safe
@@ -208,12 +209,11 @@ class Refiner:
         if scene.movers is not None and scene.occupied.any():
             steps, most = FURTHER_STEPS, FURTHER_MOST
         for rate in FURTHER_RATES:
-            if not helped.any():
-                break
-            cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
-            failed = np.flatnonzero(helped)[: most and max(most - int(safe.sum()), 0)]
+            left = len(splines) if most is None else max(most - int(safe.sum()), 0)
+            failed = np.flatnonzero(helped)[:left]
             if not len(failed):
                 break
+            cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
             slowly = OptimisationPass(steps, rate, slowed_before=True, slowed_after=True)
             tried, gained = self._optimised(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
