@@ -124,12 +124,18 @@ def test_what_the_service_still_compiles_is_waited_for_and_does_without(
         return lambda route: route.fulfill(status=503, json={"error": error})
 
     visit = open_page(at_once=False)
-    visit.page.route("**/openapi.json", not_ready("the service is starting: it compiles"))
+    starting = not_ready("the service is starting: it compiles")
+    visit.page.route("**/openapi.json", starting)
+    visit.page.route("**/v2/health/ready", starting, times=1)
     visit.open()
     banner = visit.locate("#banner-text")
     expect(banner).to_have_text("The service is starting: it compiles. This page waits for it.")
     expect(visit.locate("#retry")).to_be_hidden()
     visit.keep("starting.png")
+    # It comes back between two requests, before the page has read what a request may hold.
+    visit.page.wait_for_event(
+        "response", lambda heard: heard.url.endswith("/health/ready") and heard.ok
+    )
     visit.page.unroute("**/openapi.json")
     visit.wait_for_anchors()
     expect(visit.locate("#banner")).to_be_hidden()

@@ -82,8 +82,9 @@ class App {
     if (question.view === this.#view) this.#view[event](exchange);
   }
 
-  /** Bundles may be loaded and unloaded while the service runs. */
+  /** Bundles may be loaded and unloaded while the service runs; the first cards are read by begin(), after the form. */
   async #refresh() {
+    if (!this.form) return;
     try {
       await this.bundles.refresh();
     } catch (error) {
