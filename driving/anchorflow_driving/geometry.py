@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from anchorflow_trajectory.car.course import arc_lengths as arc_lengths, at_places as at_places
 from anchorflow_trajectory.car.tracking import wrap_angle as wrap_angle
 
 Array = NDArray[np.float64]
 Booleans = NDArray[np.bool_]
-Real = NDArray[np.floating] | NDArray[np.integer]
 
 # Front left, front right, rear right, rear left, in half lengths and half widths.
 _CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
@@ -56,16 +56,6 @@ def arc_ends(length: Array, turn: Array) -> Array:
     # Chord and direction of the arc; sinc holds where it is straight.
     chord = length * np.sinc(turn / 2 / np.pi)
     return np.stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn], axis=-1)
-
-
-def arc_lengths(line: Array) -> Array:
-    """Return the arc length [V] m at each point of a polyline [V, 2]."""
-    return np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
-
-
-def at_places(places: Real, marks: Real, line: Real) -> Array:
-    """Interpolate the columns of a line [V, D], known at marks [V], at places [...]."""
-    return np.stack([np.interp(places, marks, axis) for axis in line.T], -1)
 
 
 def box_corners(poses: Array, size: Array) -> Array:

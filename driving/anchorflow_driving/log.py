@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.recorded_sensors import RecordedSensors, read_sensors
-from anchorflow_driving.route import SAME_POINT, without_repeats
+from anchorflow_trajectory.car.course import SAME_POINT, without_repeats
 
 FRAME_S = 0.1
 HISTORY_FRAMES = 20

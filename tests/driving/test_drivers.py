@@ -10,9 +10,9 @@ import pytest
 
 from anchorflow_driving.drivers import DENSE_TIMES, DRIVERS, PLAN_TIMES, WAYPOINT_TIMES, collides
 from anchorflow_driving.log import COMMANDS, DrivingLog
-from anchorflow_driving.pdm.pdm_closed import idm_acceleration
 from anchorflow_driving.window import Scenes, Window
 from anchorflow_driving.window_choice import command
+from anchorflow_trajectory.car.following import idm_acceleration
 
 OnStreet = Callable[..., Window]
 

@@ -12,8 +12,8 @@ import pytest
 
 from anchorflow_driving.errors import LogError
 from anchorflow_driving.log import LAYOUT, DrivingLog, read_log, read_logs, write_log
-from anchorflow_driving.route import SAME_POINT
 from anchorflow_driving.window import Scenes
+from anchorflow_trajectory.car.course import SAME_POINT
 
 Street = Callable[..., DrivingLog]
 

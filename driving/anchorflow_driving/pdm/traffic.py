@@ -12,12 +12,12 @@ from anchorflow_driving.log import FRAME_S
 from anchorflow_driving.road import Road
 from anchorflow_driving.route import Route
 from anchorflow_driving.window import EgoState, PlannerView, Vehicle, Window
+from anchorflow_trajectory.car.following import UNKNOWN_SPEED_LIMIT
 from anchorflow_trajectory.car.tracking import STEPS
 
 FRAMES = STEPS + 10
 """Of the others: time to collision looks 0.9 s past the last step."""
 PERCEPTION_RANGE = 120.0  # m, for predictions
-UNKNOWN_SPEED_LIMIT = 15.0  # m/s
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,6 @@ from anchorflow_service.engine.conditioning.cost_map import MapScene
 from anchorflow_service.engine.finish import FINISHES
 from anchorflow_service.engine.foresight import Foresight
 from anchorflow_service.engine.futures import OthersFutures
-from anchorflow_service.engine.guard import SCORES
 from anchorflow_service.engine.interfaces import (
     DT,
     SAFE,
@@ -235,8 +234,10 @@ class Engine:
             futures = self._futures.predict(scene) if self._futures else {}
             samples = replace(samples, context=context, arrays={**samples.arrays, **futures})
             if self._foresight and OthersFutures.told(scene):
-                scores = self._foresight.scores(samples, scene, futures)
-                samples = replace(samples, arrays={**samples.arrays, SCORES: scores})
+                scorer = None
+                if isinstance(self.sampler, OdeSampler):
+                    scorer = self.sampler.scorer(scene, context, threads=threads)
+                samples = self._foresight.chosen(samples, scene, futures, scorer)
         return samples
 
     def _draws_ways(self, scene: ConditionedScene) -> TypeGuard[MapScene]:

@@ -60,7 +60,7 @@ def test_a_bundle_is_judged_with_its_proposals(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plans["trajectories"], chosen)
 
 
-def test_a_driver_that_foresees_is_told_of_the_others_and_chooses_among_the_same() -> None:
+def test_a_driver_that_foresees_is_told_of_the_others_and_keeps_the_better_proposals() -> None:
     driver = opened()
     assert driver.predicts
     foreseeing, window = driver.foreseeing(), Scenes(bend(0))[0]
@@ -68,7 +68,8 @@ def test_a_driver_that_foresees_is_told_of_the_others_and_chooses_among_the_same
     plain, foreseen = driver.propose(window), foreseeing.propose(window)
     assert plain.scores is not None
     assert foreseen.scores is not None
-    np.testing.assert_array_equal(plain.trajectories, foreseen.trajectories)
+    same = (plain.trajectories == foreseen.trajectories).all((1, 2))
+    assert 3 * N // 4 <= same.sum() < N
     # The leader drives on along the bend, and not into the field beside it.
     assert np.abs(plain.scores - foreseen.scores).max() > 1e-4
 

@@ -1,13 +1,13 @@
 """What plans are worth among others who may go several ways.
 
-    worth = NC · DAC · ((5 EP + 5 TTC + 2 C) / 12)^4
+    worth = NC · DAC · ((5 EP + 5 TTC + 2 C) / 12)^6
 
 is a PDM score of what is driven, expected over the others' modes. Each plan is tracked by the
 controller of `tracking`. NC and TTC are the chances that the car hits nobody, and that nothing is
 touched within 0.9 s at its speed and heading, if the others choose their modes independently. DAC
-is whether the car stays on the road, C whether the drive is comfortable, and EP its length by that
-of the longest that is likely to be allowed. The power was chosen on simulated logs
-(docs/goalflow-bundle.md).
+is whether the car stays on the road, C whether the drive is comfortable, and EP its progress by
+that of the longest that is likely to be allowed, or of a reference if that is shorter. The power
+was chosen on simulated logs (docs/goalflow-bundle.md).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import numpy as np
 
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.car.comfort import comfort
+from anchorflow_trajectory.car.course import Course
 from anchorflow_trajectory.car.tracking import (
     FRAME_S,
     PLAN_TIMES,
@@ -31,7 +32,7 @@ from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.guard.faults import Raster
 from anchorflow_trajectory.guard.motion import Car
 
-POWER = 4
+POWER = 6
 FREE_PROGRESS = 5.0
 """m; progress counts only if some plan exceeds it."""
 LAST_LOOK = 9
@@ -103,24 +104,76 @@ def standing_places(occupied: Raster, now: FloatArray, half: FloatArray) -> Floa
     return places[~own.any(1)]
 
 
-def worth(
-    plans: FloatArray, start: EgoState, car: Car, foreseen: Foreseen, *, wheelbase: float
-) -> FloatArray:
-    """Return what plans [N,8,3] at 0.5 … 4.0 s after their start are worth, [N] in [0, 1].
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """What N plans are expected to be scored for.
+
+    kept: [N] chance that nobody is hit and the road is kept; ahead: [N] chance that TTC holds
+    comfortable: [N] 0 or 1; way: [N] m of progress
+    """
+
+    kept: FloatArray
+    ahead: FloatArray
+    comfortable: FloatArray
+    way: FloatArray
+
+    @property
+    def longest(self) -> float:
+        """m, of the longest way that is likely to be allowed."""
+        return float((self.way * self.kept * self.comfortable).max())
+
+    def quality(self, longest: float, *, free: float = FREE_PROGRESS) -> FloatArray:
+        """Return (5 EP + 5 TTC + 2 C) / 12 [N]; progress by `longest` counts if it exceeds `free`
+        m."""
+        progress = np.minimum(self.way / max(longest, free), 1.0)
+        if longest <= free:
+            progress = np.ones_like(progress)
+        return (5 * progress + 5 * self.ahead + 2 * self.comfortable) / 12
+
+
+def expected(
+    plans: FloatArray,
+    start: EgoState,
+    car: Car,
+    foreseen: Foreseen,
+    *,
+    wheelbase: float,
+    course: Course | None = None,
+) -> Expected:
+    """Return what plans [N,8,3] at 0.5 … 4.0 s after their start are expected to be scored for.
 
     start: where they begin, and from when on the others are foreseen; wheelbase: m
+    course: along which progress is measured; by default along what is driven
     """
     poses = np.concatenate([np.tile(start.pose, (len(plans), 1, 1)), plans], 1)
     motion = track(interpolate(np.asarray(poses, np.float64)), start, wheelbase=wheelbase)
     clear, ahead = _chances(motion, car, foreseen)
-    kept = clear * _on_road(motion, car, foreseen.road)
-    comfortable = comfort(motion)
-    way = np.linalg.norm(np.diff(motion.poses[..., :2], axis=1), axis=-1).sum(1)
-    longest = float((way * kept * comfortable).max())
-    progress = np.minimum(way / max(longest, FREE_PROGRESS), 1.0)
-    if longest <= FREE_PROGRESS:
-        progress = np.ones_like(way)
-    return kept * ((5 * progress + 5 * ahead + 2 * comfortable) / 12) ** POWER
+    if course is None:
+        way = np.linalg.norm(np.diff(motion.poses[..., :2], axis=1), axis=-1).sum(1)
+    else:
+        x, y, heading = np.moveaxis(motion.poses[:, [0, -1]], -1, 0)
+        middles = [x + car.middle * np.cos(heading), y + car.middle * np.sin(heading)]
+        along, _ = course.project(np.stack(middles, -1))
+        way = np.maximum(along[:, 1] - along[:, 0], 0.0)
+    return Expected(clear * _on_road(motion, car, foreseen.road), ahead, comfort(motion), way)
+
+
+def worth(
+    plans: FloatArray,
+    start: EgoState,
+    car: Car,
+    foreseen: Foreseen,
+    *,
+    wheelbase: float,
+    course: Course | None = None,
+    reference: float = np.inf,
+) -> FloatArray:
+    """Return what plans [N,8,3] are worth, [N] in [0, 1].
+
+    reference: m of progress that is enough; other arguments: see `expected`
+    """
+    found = expected(plans, start, car, foreseen, wheelbase=wheelbase, course=course)
+    return found.kept * found.quality(min(found.longest, reference)) ** POWER
 
 
 def _chances(motion: Motion, car: Car, foreseen: Foreseen) -> tuple[FloatArray, FloatArray]:

@@ -55,6 +55,8 @@ MIN_SLICE = 8  # anchors; a thread that gets fewer costs more than it saves
 FIXED_SLICE = 16  # anchors, at most, if cutting changes the last digits
 
 SCORE, SCORES = "score", "scores"
+GOAL = "goal"
+"""The input that says where trajectories end."""
 # Inputs of each role besides the outputs of encode, and what it may take besides if the prior is a
 # mixture.
 OWN_INPUTS = {"modulate": ("times",), "field": ("x_t", "modulation"), SCORE: ("x_1",)}
@@ -204,6 +206,20 @@ class OdeSampler:
             arrays[SCORES] = self._graphs.run(SCORE, inputs, threads=threads)[SCORES][0]
             check()
         return Samples(states, begun.route, arrays)
+
+    def scorer(
+        self, scene: ConditionedScene, context: Context, *, threads: int
+    ) -> Callable[[Array], Array] | None:
+        """Return a function that scores states [K,T,S] of a scene that were not sampled; None if
+        the planner has no scores, or the request says where trajectories end."""
+        if not self._is_scored or GOAL in scene.request.inputs:
+            return None
+
+        def scored(states: Array) -> Array:
+            inputs = _score_inputs(context, self._late.as_driven(states, scene), states)
+            return self._graphs.run(SCORE, inputs, threads=threads)[SCORES][0]
+
+        return scored
 
     def flow_states(self, scene: ConditionedScene) -> FlowStates:
         """Return the states that `sample` passes through, noise and the last included."""

@@ -1,0 +1,119 @@
+"""Careful drives along a course, among others who are foreseen: candidates, and a reference.
+
+Both are the drives of PDM-Closed (`following`): behind leaders who keep their velocities, and
+behind those who go their likeliest way. The reference is what PDM-Closed would choose of the
+former, by whose progress the PDM score measures that of others.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from anchorflow_trajectory import FloatArray
+from anchorflow_trajectory.car.course import Course
+from anchorflow_trajectory.car.following import (
+    LOOK_STRIDE,
+    OFFSETS,
+    UNKNOWN_SPEED_LIMIT,
+    Leaders,
+    drives_behind,
+)
+from anchorflow_trajectory.car.foresight import Foreseen, expected
+from anchorflow_trajectory.car.tracking import FRAME_S, STEPS, EgoState
+from anchorflow_trajectory.guard.motion import Car
+
+FREE_PROGRESS = 0.1
+"""m: among careful drives, nearly every metre counts."""
+HALF_PLACE = 0.25
+"""m, half of a place that something stands at."""
+STRIDE = 5
+"""Steps between two poses of a plan."""
+SHORTEST_LEG = 0.3
+"""m between two poses of a plan, up to which the later one says nothing of its course."""
+BEFORE_M, BEYOND_M = 3.0, 60.0
+"""m by which a presumed course begins before the car and goes on after its plan."""
+
+
+def careful_drives(
+    course: Course, start: EgoState, car: Car, seen: Foreseen, foreseen: Foreseen
+) -> FloatArray:
+    """Return drives [30,8,3] at 0.5 … 4.0 s after the start; the first 15 for those as `seen`.
+
+    seen: the same others at their present velocities
+    """
+    ways = [
+        drives_behind(
+            course,
+            _leaders(course, car, others),
+            car,
+            pose=start.pose,
+            speed=start.speed,
+            speed_limit=UNKNOWN_SPEED_LIMIT,
+        )[:, STRIDE::STRIDE]
+        for others in (seen, foreseen)
+    ]
+    return np.concatenate(ways)
+
+
+def reference_progress(
+    drives: FloatArray,
+    course: Course,
+    start: EgoState,
+    car: Car,
+    seen: Foreseen,
+    *,
+    wheelbase: float,
+) -> float:
+    """Return the m of progress of the drive [N,8,3] that is best if everybody keeps his velocity.
+
+    wheelbase: m
+    """
+    found = expected(drives, start, car, seen, wheelbase=wheelbase, course=course)
+    progress = found.way * found.kept
+    quality = found.quality(float(progress.max()), free=FREE_PROGRESS)
+    return float(found.way[(found.kept * quality).argmax()])
+
+
+def presumed_course(plans: FloatArray, scores: FloatArray, start: EgoState) -> Course:
+    """Return the course of a car that is told no route: that of the plan [N,8,3] with the most
+    score [N] times length, and straight on from its end.
+    """
+    poses = np.concatenate([np.tile(start.pose, (len(plans), 1, 1)), plans], 1)
+    legs = np.linalg.norm(np.diff(poses[..., :2], axis=1), axis=-1)
+    best = int((scores * legs.sum(1)).argmax())
+    line = poses[best][np.concatenate([[True], legs[best] > SHORTEST_LEG])]
+    ahead = np.array([np.cos(line[-1, 2]), np.sin(line[-1, 2])])
+    behind = np.array([np.cos(start.pose[2]), np.sin(start.pose[2])])
+    line = line[:, :2]
+    return Course(
+        np.concatenate([line[:1] - BEFORE_M * behind, line, line[-1:] + BEYOND_M * ahead])
+    )
+
+
+def _leaders(course: Course, car: Car, foreseen: Foreseen) -> Leaders:
+    """Return the others in their likeliest modes, and what stands near the course."""
+    places = foreseen.standing
+    if len(places):
+        _, aside = course.project(places)
+        places = places[np.abs(aside) <= max(OFFSETS) + car.side + 2 * HALF_PLACE]
+    likeliest = foreseen.probabilities.argmax(1)
+    driven = foreseen.poses[np.arange(len(likeliest)), likeliest]
+    stand = np.zeros((len(places), *driven.shape[1:]))
+    stand[..., :2] = places[:, None]
+    poses = np.concatenate([driven, stand])
+    half = np.concatenate([foreseen.half, np.full((len(places), 2), HALF_PLACE)])
+    velocity = np.gradient(poses[..., :2], FRAME_S, axis=1)[:, : STEPS + 1 : LOOK_STRIDE]
+    poses = poses[:, : STEPS + 1 : LOOK_STRIDE]
+    along, left = course.project(poses[..., :2])
+    heading = np.interp(along, course.arc_length, course.heading)
+    cos, sin = (np.abs(part(poses[..., 2] - heading)) for part in (np.cos, np.sin))
+    ahead, aside = half[:, :1] * cos + half[:, 1:] * sin, half[:, :1] * sin + half[:, 1:] * cos
+    return Leaders(
+        tail=along - ahead,
+        head=along + ahead,
+        right=left - aside,
+        left=left + aside,
+        middle=left,
+        reach=np.hypot(*half.T),
+        speed=velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading),
+    )
