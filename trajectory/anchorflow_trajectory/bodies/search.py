@@ -153,8 +153,9 @@ def find_way(
         at = nodes.poses[node]
         away = np.hypot(at[0] - target.pose[0], at[1] - target.pose[1])
         if expanded % (SHOT_EVERY if away < NEAR else 8) == 1 or expanded <= 2:
+            dearest = float(best_cost - nodes.costs[node])
             shot, cost = direct_way(
-                ground, corners, reach, moves, at, int(nodes.gears[node]), target, spans
+                ground, corners, reach, moves, at, int(nodes.gears[node]), target, dearest, spans
             )
             stays = nodes.driven[node] >= braking or (
                 len(shot) > 0 and shot[0, 3] == nodes.gears[node]
@@ -207,11 +208,13 @@ def _expand(
 ) -> tuple[int, int]:
     """Add the poses that short motions reach from a node; returns how many are known, and wait."""
     at, pose = nodes.poses[node], np.empty(3)
+    turn = np.cos(at[2]), np.sin(at[2])
     for k in range(len(moves.gears)):
         changes = moves.gears[k] != nodes.gears[node]
         if changes and nodes.driven[node] < braking:
             continue
-        if not _moved(ground, corners, reach, moves.poses[k], at, pose, spans):
+        _move(moves.poses[k, -1], at, turn, pose)
+        if not _is_on(ground, pose):
             continue
         cost = moves.costs[k] + (moves.stop if changes else 0.0)
         if surcharge.size:
@@ -224,6 +227,8 @@ def _expand(
         key = _key(ground, cell, moves.bins, nodes, count)
         place = _place(keys, key)
         if keys[place] == key and nodes.costs[held[place]] <= cost + 1e-9:
+            continue
+        if not _is_free(ground, corners, reach, moves.poses[k], at, turn, pose, spans):
             continue
         keys[place], held[place] = key, count
         likely = cost + GREED * _left(guide, pose)
@@ -290,21 +295,36 @@ def _pop(costs: FloatArray, nodes: NDArray[np.int64], size: int) -> int:
 
 
 @compiled
-def _moved(
+def _move(by: FloatArray, at: FloatArray, turn: tuple[float, float], pose: FloatArray) -> None:
+    """Write the pose [3] that a motion [3] leads to; turn: cosine and sine of where it begins."""
+    cosine, sine = turn
+    pose[0] = at[0] + cosine * by[0] - sine * by[1]
+    pose[1] = at[1] + sine * by[0] + cosine * by[1]
+    pose[2] = at[2] + by[2]
+
+
+@compiled
+def _is_on(ground: Ground, pose: FloatArray) -> bool:
+    """Whether a pose is on the map."""
+    height, width = ground.room.shape
+    u, v = (pose[0] - ground.x) / ground.resolution, (pose[1] - ground.y) / ground.resolution
+    return 0.0 <= u < width and 0.0 <= v < height
+
+
+@compiled
+def _is_free(
     ground: Ground,
     corners: FloatArray,
     reach: float,
     poses: FloatArray,
     at: FloatArray,
+    turn: tuple[float, float],
     pose: FloatArray,
     spans: FloatArray,
 ) -> bool:
-    """Whether a short motion from a pose touches nothing; `pose` [3] becomes its end."""
-    cosine, sine = np.cos(at[2]), np.sin(at[2])
+    """Whether a short motion from `at` touches nothing; `pose` [3] becomes its end."""
     for look in range(len(poses)):
-        pose[0] = at[0] + cosine * poses[look, 0] - sine * poses[look, 1]
-        pose[1] = at[1] + sine * poses[look, 0] + cosine * poses[look, 1]
-        pose[2] = at[2] + poses[look, 2]
+        _move(poses[look], at, turn, pose)
         if touches(ground, corners, reach, pose, spans):
             return False
     return True

@@ -43,16 +43,19 @@ def direct_way(
     at: FloatArray,
     gear: int,
     target: Target,
+    dearest: float,
     spans: FloatArray,
 ) -> tuple[NDArray[np.float64], float]:
     """The cheapest direct way [P, 4] from a pose to the target that touches nothing, and its cost.
 
     It is a turn, a straight line and, where the heading counts, another turn; of a robot that
     slides, a straight line.
+
+    dearest: a cost from which no way is of use
     """
     if moves.slides:
         return _slide(ground, corners, reach, moves, at, gear, target, spans)
-    return _turns_and_line(ground, corners, reach, moves, at, gear, target, spans)
+    return _turns_and_line(ground, corners, reach, moves, at, gear, target, dearest, spans)
 
 
 @compiled
@@ -64,10 +67,11 @@ def _turns_and_line(
     at: FloatArray,
     gear: int,
     target: Target,
+    dearest: float,
     spans: FloatArray,
 ) -> tuple[NDArray[np.float64], float]:
     """The cheapest of the turns, lines and turns to the target that touch nothing, and its cost."""
-    best, best_cost = np.empty((0, 4)), np.inf
+    best, best_cost = np.empty((0, 4)), dearest
     legs, found = np.empty((3, 2)), np.empty((0, 4))
     turns_last = target.heading and not moves.spot
     for way in range(2 if moves.reverse else 1):

@@ -113,8 +113,8 @@ class WaySearch:
         def search(k: int) -> None:
             for turn, back in enumerate(self.ends, 1):
                 most = FEWER_POSES if k or turn < len(self.ends) else MOST_POSES
-                found[k] = self._search(routes[k], margin, cell, spare, most, back=back)
-                if len(found[k]):
+                found[k], tried = self._search(routes[k], margin, cell, spare, most, back=back)
+                if len(found[k]) or tried == 1:  # the body cannot move at this end at all
                     return
 
         self.run([partial(search, k) for k in range(len(routes))])
@@ -142,8 +142,11 @@ class WaySearch:
         most: int,
         *,
         back: bool,
-    ) -> NDArray[np.float64]:
-        """Return a way [P, 4] along a route, or an empty one; back: searched from the goal."""
+    ) -> tuple[NDArray[np.float64], int]:
+        """Return a way [P, 4] along a route, or an empty one, and how many poses were expanded.
+
+        back: searched from the goal
+        """
         scene, lead, gear = self.problem.scene, self.problem.lead, self.problem.first_gear
         braking = 0.0 if len(lead) > 1 else self.problem.braking
         outline = self.problem.body.outline.grown(margin)
@@ -162,7 +165,7 @@ class WaySearch:
             back=back,
         )
         dear = scene.surcharge
-        way, _ = find_way(
+        way, expanded = find_way(
             self.problem.ground, outline.corners, outline.reach, moves, cell,
             self._guide(route, cell, back=back),
             np.zeros((0, 0), np.float32) if dear is None else np.ascontiguousarray(dear),
@@ -170,9 +173,9 @@ class WaySearch:
         )  # fmt: skip
         if back and len(way):
             way = _turned_round(way, target.pose[2])
-        if len(lead) < 2 or not len(way):
-            return way
-        return np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way], dtype=np.float64)
+        if len(lead) > 1 and len(way):
+            way = np.concatenate([np.insert(lead[:-1], 3, SLIDING, 1), way], dtype=np.float64)
+        return way, expanded
 
     def _guide(self, route: Route, cell: float, *, back: bool) -> Guide:
         """Return what is left of a way along a route, to the goal or back to the start."""

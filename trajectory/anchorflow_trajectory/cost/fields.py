@@ -111,10 +111,8 @@ def look_up(grid: Grid, x: float, y: float) -> tuple[float, float, float]:
 
 
 @compiled_part
-def look_up_lanes(
-    grid: Grid, x: FloatArray, y: FloatArray, lanes: int, found: FloatArray, room: FloatArray
-) -> None:
-    """Write the same at [LANES] places as [3, LANES]: vectors but for the reading of the cells.
+def find_lanes(grid: Grid, x: FloatArray, y: FloatArray, lanes: int, room: FloatArray) -> None:
+    """Write in which cells [LANES] places lie, for `read_lanes`.
 
     room: [ROOM, LANES], for what is written in between; one array, since what may overlap is slow
     """
@@ -122,6 +120,14 @@ def look_up_lanes(
         (row, column, above, after), (right, up, over_u, over_v) = _cell(grid, x[m], y[m])
         room[0, m], room[1, m], room[2, m], room[3, m] = row, column, above, after
         room[4, m], room[5, m], room[6, m], room[7, m] = right, up, over_u, over_v
+
+
+@compiled_part
+def read_lanes(grid: Grid, lanes: int, found: FloatArray, room: FloatArray) -> None:
+    """Write what `look_up` says of the places that were found, as [3, LANES].
+
+    These are vectors but for the reading of the cells. Grids of one geometry share a finding.
+    """
     for m in range(lanes):
         row, column = np.uint32(room[0, m]), np.uint32(room[1, m])
         above, after = np.uint32(room[2, m]), np.uint32(room[3, m])
@@ -132,6 +138,19 @@ def look_up_lanes(
         up, far = np.float32(room[10, m]), np.float32(room[11, m])
         parts = room[4, m], room[5, m], room[6, m], room[7, m]
         found[0, m], found[1, m], found[2, m] = _between(grid, (corner, right, up, far), parts)
+
+
+@compiled_part
+def are_alike(one: Grid, other: Grid) -> bool:
+    """Whether both have the same cells."""
+    (rows, columns), (height, width) = one.values.shape, other.values.shape
+    return (
+        rows == height
+        and columns == width
+        and one.resolution == other.resolution
+        and one.first_x == other.first_x
+        and one.first_y == other.first_y
+    )
 
 
 @compiled_part

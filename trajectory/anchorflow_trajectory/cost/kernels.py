@@ -12,7 +12,7 @@ import numpy as np
 
 from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.compiled import compiled, compiled_part
-from anchorflow_trajectory.cost.fields import ROOM, Grid, look_up_lanes
+from anchorflow_trajectory.cost.fields import ROOM, Grid, are_alike, find_lanes, read_lanes
 from anchorflow_trajectory.movers import Discs
 from anchorflow_trajectory.spline.kernels import (
     LANES,
@@ -167,9 +167,12 @@ def _look_up_ground(
 ) -> None:
     """Write value and slopes of clearance and of the surcharge at the samples, [2, 3, LANES]."""
     x, y = samples[0, 0], samples[0, 1]
-    look_up_lanes(problem.clearance, x, y, lanes, ground[0], room)
+    find_lanes(problem.clearance, x, y, lanes, room)
+    read_lanes(problem.clearance, lanes, ground[0], room)
     if problem.surcharge.values.size > 0:
-        look_up_lanes(problem.surcharge, x, y, lanes, ground[1], room)
+        if not are_alike(problem.clearance, problem.surcharge):
+            find_lanes(problem.surcharge, x, y, lanes, room)
+        read_lanes(problem.surcharge, lanes, ground[1], room)
 
 
 @compiled_part
