@@ -18,8 +18,8 @@ from anchorflow_client import Payload
 settings.register_profile("anchorflow", deadline=None)
 settings.load_profile("anchorflow")
 
-# With torch and onnx loaded every look for garbage is long: ten times fewer of them.
-gc.set_threshold(10_000)
+# With torch and onnx loaded every look for garbage is long: a hundred times fewer of them.
+gc.set_threshold(100_000)
 
 TRACING = ("tests/export/", "tests/test_own_data.py", "tests/service/http/test_planners.py")
 """Tests that trace networks, the longest there are."""

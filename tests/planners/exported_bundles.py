@@ -17,6 +17,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import tiny_wote
@@ -34,7 +35,7 @@ from anchorflow_export.parity import Difference
 from anchorflow_export.planners import adapter_of
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
-from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig, ways
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_trajectory.motion import MotionLimits
 
@@ -51,13 +52,13 @@ DIFFUSION = replace(
     imitation=0.1,
     pessimistic=True,
 )
-# Ways along a route are a loop over the steps, which a trace unrolls: two are enough. It looks at
-# features of one's own; tests/export/test_goalflow.py proves what a drawn raster has instead.
+# A trace unrolls loops over steps, over picked goals and those of UNROLLED: few turns are enough.
+# It looks at features of one's own; tests/export/test_goalflow.py proves what a drawn raster has.
 GOALFLOW = GoalFlowConfig(
     num_steps=2,
     bev=BevLayout(64, 40, 27, (-4.0, 36.0, -13.5, 13.5), "float32"),
     goals=16,
-    picked=5,
+    picked=3,
     width=16,
     channels=8,
     feature_channels=4,
@@ -82,6 +83,8 @@ CHOICES = {
     "goalflow": ExportChoices(goal_inputs=True),
 }
 PREDICTING = "goalflow-futures"
+UNROLLED: dict[str, Any] = {"LEADINGS": 2, "STRETCHES": 1}
+"""Turns of GoalFlow's own loops while it is exported and compared."""
 
 
 def untaught(**options: Any) -> nn.Module:
@@ -179,4 +182,5 @@ def _export(network: str, made: Any, out: Path) -> tuple[Difference, ...]:
     planner, name = network.partition("-")[0], f"small-{network.replace('_', '-')}"
     adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
     description = BundleDescription(name=name, version="1.0.0", planner=planner)
-    return export_bundle(adapter, description, out=out)
+    with patch.multiple(ways, **UNROLLED):
+        return export_bundle(adapter, description, out=out)

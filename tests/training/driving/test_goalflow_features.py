@@ -26,7 +26,7 @@ CHANNELS, ROWS, COLUMNS, POSES = 64, 40, 27, 2
 EXTENT = (-4.0, 36.0, -13.5, 13.5)  # m, a cell of 1 m
 DT, SPEED = 0.5, 14.0
 WINDOWS = 12
-SMALL = {"goals": 16, "picked": 5, "width": 16, "layers": 1, "channels": 8, "feature_channels": 4}
+SMALL = {"goals": 16, "picked": 3, "width": 16, "layers": 1, "channels": 8, "feature_channels": 4}
 
 
 def arrays(number: int) -> dict[str, Any]:
