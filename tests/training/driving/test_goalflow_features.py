@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+import onnx
 import pytest
 from command_line import failure, succeed
-from exported_bundles import GOALFLOW, export_once
+from exported_bundles import GOALFLOW, UNROLLED, export_once
 
 from anchorflow_driving.errors import LogError
-from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.planners.goalflow import goalflow_adapter
+from anchorflow_export.adapter import PlannerAdapter
+from anchorflow_export.tracing import TracedGraph
+from anchorflow_models.goalflow import ways
 from anchorflow_service.bundle import load_bundle
-from anchorflow_training.checkpoint import load_checkpoint, restore_model
+from anchorflow_service.local import LocalClient
+from anchorflow_training.checkpoint import load_checkpoint, restore_model, save_checkpoint
 from anchorflow_training.driving.feature_windows import open_features
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
 from anchorflow_training.settings import build
@@ -48,6 +52,9 @@ def features(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number in range(WINDOWS):
         np.savez(folder / f"{number:03d}.npz", **arrays(number))
     return folder
+
+
+OF_THE_RUN = ("name", "version", "sha256", "training")  # of a card
 
 
 def small_run(folder: Path, out: Path, **settings: Any) -> GoalFlowRun:
@@ -82,17 +89,35 @@ def test_it_learns_where_a_channel_is_bright(features: Path, tmp_path: Path) -> 
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:5])
 
 
-def test_a_command_trains_what_is_exported_and_served(features: Path, tmp_path: Path) -> None:
-    """tests/export exports and serves a network of this configuration."""
+def test_a_command_trains_what_is_exported_and_served(
+    features: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Graphs and weights are those of a network that was traced before, which takes a minute."""
     small = ((f"--model.{name.replace('_', '-')}", value) for name, value in SMALL.items())
     words = ["--steps", 2, "--scenes", 4, "--held-out", 3, "--no-tensorboard", *chain(*small)]
     succeed("train", features, "--planner", "goalflow", "--out", tmp_path, *words)
-    model = restore_model(load_checkpoint(tmp_path / "checkpoint.pt"))
-    assert model.config == replace(GOALFLOW, outcomes=False)
-    parts = goalflow_adapter(model, ExportChoices(goal_inputs=True)).parts
-    manifest = load_bundle(export_once("goalflow").path).manifest
-    assert (manifest.request.inputs, manifest.finish) == (parts.inputs, parts.finish)
-    assert (manifest.time, manifest.answer) == (parts.time, parts.answer)
+    path, bundle = tmp_path / "checkpoint.pt", tmp_path / "bundle"
+    saved, made = load_checkpoint(path), export_once("goalflow")
+    assert restore_model(saved).config == replace(GOALFLOW, outcomes=False)
+    config, weights = {**saved.config, "model": asdict(GOALFLOW)}, made.network.state_dict()
+    save_checkpoint(path, replace(saved, config=config, model=weights, average=weights))
+    shown = load_bundle(made.path)
+    traced = {
+        role: TracedGraph(onnx.load(shown.graph_path(role)), graph.inputs, graph.outputs)
+        for role, graph in shown.manifest.graphs.items()
+    }
+    monkeypatch.setattr(PlannerAdapter, "trace", lambda _: traced)
+    with patch.multiple(ways, **UNROLLED):
+        succeed("export", path, "--goal-inputs", "--out", bundle)
+    card, wanted = load_bundle(bundle).card, shown.card
+    assert card == replace(wanted, **{each: getattr(card, each) for each in OF_THE_RUN})
+    first = arrays(0)
+    inputs = {"bev": first["bev"], "ego_status": first["ego"], "vehicle_size": [4.6, 1.9]}
+    served, before = (
+        LocalClient.of(each, threads=1).plan(inputs=inputs, num_samples=4, seed=0)
+        for each in (bundle, made.path)
+    )
+    np.testing.assert_array_equal(served.trajectories, before.trajectories)
 
 
 @pytest.mark.parametrize(
