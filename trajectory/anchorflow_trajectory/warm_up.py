@@ -33,7 +33,7 @@ from anchorflow_trajectory.bodies.outline import Outline
 from anchorflow_trajectory.bodies.planner import BodyPlanner
 from anchorflow_trajectory.bodies.scene import Body, BodyScene
 from anchorflow_trajectory.bodies.wheels import Wheels
-from anchorflow_trajectory.car.foresight import Foreseen, foreseen_poses, worth
+from anchorflow_trajectory.car.foresight import Driven, Foreseen, foreseen_poses
 from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState
 from anchorflow_trajectory.compiled import code_folder
 from anchorflow_trajectory.cost.clearance import GridField
@@ -183,9 +183,9 @@ def _run_foresight() -> None:
     road = Raster(np.ones((1, 8, 8), np.float32), (-4.0, 4.0, -4.0, 4.0))
     now, half = np.array([[3.0, 3.0, 0.0]]), np.array([[1.0, 0.5]])
     ways = foreseen_poses(now, np.repeat(now[:, None, None], len(PLAN_TIMES), 2))
-    foreseen = Foreseen(ways, np.ones((1, 1)), half, np.array([[3.0, -3.0]]), road)
+    foreseen = Foreseen(ways, np.ones((1, 1)), half, np.array([[3.0, -3.0]]))
     start, plans = EgoState(np.zeros(3), 0.1, 0.0, 0.0), np.zeros((1, len(PLAN_TIMES), 3))
-    worth(plans, start, Car(2.0, 1.0, 0.5), foreseen, wheelbase=2.0)
+    Driven.of(plans, start, Car(2.0, 1.0, 0.5), road, wheelbase=2.0).among(foreseen)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import (
-    ROUTE,
+    car_inputs,
     perceived,
     sensor_guard,
     sensor_inputs,
@@ -51,9 +51,10 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
     inputs = sensor_inputs(config.backbone)
     names = tuple(spec.name for spec in inputs)
     context = model.context_for_score
+    time = TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt)
     return PlannerAdapter(
         parts=PlannerParts(
-            inputs=(*inputs, ROUTE),
+            inputs=car_inputs(inputs, time),
             conditioning=TensorsSpec(),
             sampler=VocabularySpec(size=config.judged),
             finish=sensor_guard(
@@ -61,7 +62,7 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
                 foretold=bool(config.encounters),
                 lasts_s=config.num_steps * config.dt,
             ),
-            time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
+            time=time,
             answer=AnswerSpec(
                 components=COMPONENTS,
                 arrays=("scores",),

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
-from anchorflow_client.sensors import HEADING, KIND, LENGTH, VX, WIDTH
+from anchorflow_client.sensors import HEADING, KIND, LENGTH, OTHERS_TIMES_S, VX, WIDTH
 from anchorflow_service.bundle.entries import STATUS, GuardEntry
 from anchorflow_service.bundle.manifest import OTHERS, Manifest
+from anchorflow_service.engine.along_route import route_of
+from anchorflow_service.engine.futures import OthersFutures
 from anchorflow_service.engine.guard import SCORES, car_of, raster_of
 from anchorflow_service.engine.interfaces import (
     Array,
@@ -30,7 +32,13 @@ from anchorflow_service.engine.late import (
     yaw_rate_of,
 )
 from anchorflow_service.engine.later_loops import FORESIGHT_LOOPS
-from anchorflow_service.engine.samplers.along_route import ROUTE
+from anchorflow_trajectory.car.by_rule import (
+    BRAKES,
+    BRAKES_HARD,
+    BRAKING_CHANCE,
+    HARD_CHANCE,
+    arcs,
+)
 from anchorflow_trajectory.car.careful import (
     careful_drives,
     presumed_course,
@@ -38,26 +46,76 @@ from anchorflow_trajectory.car.careful import (
 )
 from anchorflow_trajectory.car.course import Course
 from anchorflow_trajectory.car.foresight import (
+    Driven,
     Foreseen,
     foreseen_poses,
     standing_places,
-    worth,
 )
-from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState
+from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState, wrap_angle
+from anchorflow_trajectory.guard.faults import Raster
+from anchorflow_trajectory.guard.motion import Car
 
-VELOCITY = slice(VX, LENGTH)
-"""Indices in a row of `others`."""
 WHEELBASE = 0.5968
 """In lengths, as `anchorflow_driving.window` has it."""
-
-
+PERSON = 2
+"""A kind of `others`, who may turn on the spot."""
+SECOND_AGO = OTHERS_TIMES_S.index(-1.0)
+RULE_POWER, RULE_SHARE, LEAST_WORTH = 4, 0.3, 1e-4
+"""A planner without futures scores its own score + share · log worth."""
+ANYWHERE = Raster(np.ones((1, 4, 4), np.float32), (0.0, 1.0, 0.0, 1.0))
+"""A road that is sure everywhere."""
 Scorer = Callable[[Array], Array]
 """Scores [K] of states [K,T,S] that the sampler did not draw."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """The A others of a request.
+
+    now: [A,3]; velocity: [A,2]; turn_rate: [A] rad/s; half: [A,2]; delay_s: of the plan
+    """
+
+    there: Array
+    now: Array
+    velocity: Array
+    turn_rate: Array
+    half: Array
+    delay_s: float
+
+    @classmethod
+    def by(cls, scene: ConditionedScene) -> _Told:
+        others = OthersFutures.others(scene)[0].astype(np.float64)
+        there = others[:, -1, KIND] > 0
+        others = others[there]
+        now, before = others[:, -1], others[:, SECOND_AGO]
+        turn = wrap_angle(now[:, HEADING] - before[:, HEADING]) / -OTHERS_TIMES_S[SECOND_AGO]
+        return cls(
+            there=there,
+            now=now[:, : HEADING + 1],
+            velocity=now[:, VX:LENGTH],
+            turn_rate=np.where((before[:, KIND] > 0) & (now[:, KIND] != PERSON), turn, 0.0),
+            half=now[:, LENGTH : WIDTH + 1] / 2,
+            delay_s=scene.request.delay_s,
+        )
+
+    def foreseen(self, futures: Array, chances: Array, standing: Array) -> Foreseen:
+        """Return them in modes [A,M,8,3] with chances [A,M], or [M] that all have."""
+        poses = foreseen_poses(self.now, futures, from_s=self.delay_s)
+        return Foreseen(poses, np.broadcast_to(chances, poses.shape[:2]), self.half, standing)
+
+    def steady(self, standing: Array) -> Foreseen:
+        """Return them at their present velocities."""
+        futures = np.repeat(self.now[:, None], len(PLAN_TIMES), 1)
+        futures[..., :2] += PLAN_TIMES[:, None] * self.velocity[:, None]
+        return self.foreseen(futures[:, None], np.ones(1), standing)
+
+    def braking(self, rate: float) -> Array:
+        """Return their futures [A,1,8,3] along their arcs, braking by a rate (m/s²)."""
+        return arcs(self.now, self.velocity, self.turn_rate, braking=rate)[:, None]
+
+
 class Foresight:
-    """Scores trajectories by what they are worth among the others of a request, and adds careful
-    drives to them.
+    """Scores trajectories by what they are worth among the `others` of a request.
 
     The first instance compiles the loops that are not on disk.
     """
@@ -68,17 +126,47 @@ class Foresight:
         self._of_each = names_of_each(manifest.sampled_extras)
         FORESIGHT_LOOPS.load()
 
+    @classmethod
+    def by_rule(cls, manifest: Manifest) -> Foresight | None:
+        """Return that of a bundle that has no futures; None if its requests have no others."""
+        return (
+            None if FUTURES in manifest.graphs or not cls.is_possible(manifest) else cls(manifest)
+        )
+
     @staticmethod
     def is_possible(manifest: Manifest) -> bool:
-        """Return whether a bundle has futures, scores, the poses of 4 s and what a guard reads."""
+        """Return whether a bundle has `others`, scores, the poses of 4 s and what a guard reads."""
         finish, time = manifest.finish, manifest.time
         times = time.first_s + (time.dt or 0.0) * np.arange(time.steps)
         return (
             isinstance(finish, GuardEntry)
-            and finish.occupied is not None
+            and (finish.occupied is not None or FUTURES not in manifest.graphs)
+            and OTHERS in {spec.name for spec in manifest.request.inputs}
             and SCORES in manifest.answer.arrays
             and np.array_equal(times, PLAN_TIMES)
         )
+
+    def scored(self, scores: Array, trajectories: Array, scene: ConditionedScene) -> Array:
+        """Return the scores [N] of trajectories [N,T,3] among others who go on by rule, if a
+        request tells of them.
+
+        The road, and whatever stands on it, is left to the scores.
+        """
+        if not OthersFutures.told(scene):
+            return scores
+        FORESIGHT_LOOPS.require()
+        told, nothing, car, start = _Told.by(scene), np.zeros((0, 2)), *self._car(scene)
+        futures = np.concatenate([told.braking(0.0), told.braking(BRAKES)], 1)
+        chances = np.array([1 - BRAKING_CHANCE, BRAKING_CHANCE])
+        foreseen, seen = told.foreseen(futures, chances, nothing), told.steady(nothing)
+        plans = self._answered(trajectories, scene)
+        course = _course(plans, np.exp(scores - scores.max()), scene, start)
+        careful = careful_drives(course, start, car, seen)
+        driven = _driven(np.concatenate([plans, careful]), start, car, ANYWHERE, course)
+        reference = reference_progress(driven[len(plans) :], seen)
+        worth = driven[: len(plans)].among(foreseen).worth(reference=reference, power=RULE_POWER)
+        added = RULE_SHARE * np.log(np.maximum(worth, LEAST_WORTH))
+        return (scores + added).astype(scores.dtype)
 
     def chosen(
         self, samples: Samples, scene: ConditionedScene, futures: Arrays, scorer: Scorer | None
@@ -92,59 +180,45 @@ class Foresight:
         scorer: of careful drives; None: there are none
         """
         FORESIGHT_LOOPS.require()
-        car, start = car_of(self._entry, scene), _state(scene)
-        wheelbase = 2 * WHEELBASE * car.half_length
-        foreseen, seen = self._foreseen(samples, scene, futures)
+        told, car, start = _Told.by(scene), *self._car(scene)
+        foreseen, seen = self._foreseen(told, samples, futures)
         states, own = samples.states, samples.arrays[SCORES]
-        course = self._course(states, own, scene, start)
-        drives = careful_drives(course, start, car, seen, foreseen)
-        reference = reference_progress(
-            drives[: len(drives) // 2], course, start, car, seen, wheelbase=wheelbase
+        count, most = len(states), max(len(states) // 4, 1)
+        course = _course(self._answered(states, scene), own, scene, start)
+        careful = [careful_drives(course, start, car, each) for each in (seen, foreseen)]
+        added = self._from_now(np.concatenate(careful), scene, states)
+        states = np.concatenate([states, added])
+        road = raster_of(self._entry.road, samples.context)
+        driven = _driven(self._answered(states, scene), start, car, road, course)
+        reference = reference_progress(driven[count : count + len(careful[0])], seen)
+        worth = driven.among(foreseen).worth(reference=reference).astype(own.dtype)
+        scores = own * worth[:count]
+        if scorer is None:
+            return replace(samples, arrays={**samples.arrays, SCORES: scores})
+        taken = best(worth[count:], most)
+        return self._replaced(
+            samples, scores, added[taken], scorer(added[taken]) * worth[count:][taken]
         )
-        if scorer is not None:
-            added = self._from_now(drives, scene, states)
-            states = np.concatenate([states, added])
-            own = np.concatenate([own, scorer(added)])
-        plans = self._answered(states, scene)
-        factor = worth(
-            plans,
-            start,
-            car,
-            foreseen,
-            wheelbase=wheelbase,
-            course=course,
-            reference=reference,
-        )
-        scores = own * factor.astype(own.dtype)
-        return self._best_of(samples, states, scores)
 
-    def _best_of(self, samples: Samples, states: Array, scores: Array) -> Samples:
-        """Return as many as were sampled: of states [N + K,T,S] the first N, of which the worst
-        quarter makes way for those of the others that are better."""
-        count = len(samples.states)
-        added = count + best(scores[count:], max(count // 4, 1))
-        worst = best(-scores[:count], len(added))
-        better = scores[added] > scores[worst]
-        place = np.arange(count)
-        place[worst[better]] = added[better]
-        arrays = {**samples.arrays, SCORES: scores[place]}
+    def _replaced(self, samples: Samples, scores: Array, states: Array, others: Array) -> Samples:
+        """Return samples with scores [N], of which the worst make way for better states [K,T,S]
+        with scores [K]."""
+        order, worst = best(others, len(others)), best(-scores, len(others))
+        better = others[order] > scores[worst]
+        order, worst = order[better], worst[better]
+        arrays = dict(samples.arrays)
         for name in self._of_each & set(arrays):
             arrays[name] = arrays[name].copy()
-            arrays[name][worst[better]] = 0
-        return replace(samples, states=states[place], arrays=arrays)
+            arrays[name][worst] = 0
+        kept = samples.states.copy()
+        kept[worst], scores[worst] = states[order], others[order]
+        return replace(samples, states=kept, arrays=arrays | {SCORES: scores})
+
+    def _car(self, scene: ConditionedScene) -> tuple[Car, EgoState]:
+        return car_of(self._entry, scene), _state(scene)
 
     def _answered(self, states: Array, scene: ConditionedScene) -> Array:
         return self._late.answered(states[..., :POSE], scene).astype(np.float64)
-
-    def _course(
-        self, states: Array, own: Array, scene: ConditionedScene, start: EgoState
-    ) -> Course:
-        """Return the route of a request; without one, where the samples go."""
-        if ROUTE in scene.request.inputs:
-            (route,) = scene.inputs((ROUTE,))[ROUTE].astype(np.float64)
-            if np.ptp(route, axis=0).any():
-                return Course(route)
-        return presumed_course(self._answered(states, scene), own, start)
 
     def _from_now(self, drives: Array, scene: ConditionedScene, like: Array) -> Array:
         """Return drives [K,8,3] after the departure as states at the times of poses from now on."""
@@ -155,33 +229,36 @@ class Foresight:
             knots = np.concatenate([[0.0], departure.time + np.concatenate([[0.0], PLAN_TIMES])])
             poses = np.concatenate([0 * first, first, drives], 1)
             poses[..., 2] = np.unwrap(poses[..., 2], axis=1)
-            drives = np.stack(
-                [[np.interp(PLAN_TIMES, knots, axis) for axis in each.T] for each in poses]
-            ).swapaxes(1, 2)
+            ways = [[np.interp(PLAN_TIMES, knots, axis) for axis in each.T] for each in poses]
+            drives = np.array(ways).swapaxes(1, 2)
         states[..., :POSE] = drives
         return states
 
     def _foreseen(
-        self, samples: Samples, scene: ConditionedScene, futures: Arrays
+        self, told: _Told, samples: Samples, futures: Arrays
     ) -> tuple[Foreseen, Foreseen]:
-        """Return the others as foreseen, and at their present velocities."""
-        others = scene.inputs((OTHERS,))[OTHERS][0].astype(np.float64)
-        there = others[:, -1, KIND] > 0
-        now, half = others[there, -1, : HEADING + 1], others[there, -1, LENGTH : WIDTH + 1] / 2
+        """Return the others as foreseen, any of whom may brake hard, and at their velocities."""
         assert self._entry.occupied is not None
         occupied = raster_of(self._entry.occupied, samples.context)
-        delay_s = scene.request.delay_s
-        foreseen = Foreseen(
-            poses=foreseen_poses(now, futures[FUTURES][there], from_s=delay_s),
-            probabilities=futures[FUTURE_PROBABILITIES][there].astype(np.float64),
-            half=half,
-            standing=standing_places(occupied, now, half),
-            road=raster_of(self._entry.road, samples.context),
+        standing = standing_places(occupied, told.now, told.half)
+        modes = [futures[FUTURES][told.there], told.braking(BRAKES_HARD)]
+        chances = (1 - HARD_CHANCE) * futures[FUTURE_PROBABILITIES][told.there].astype(np.float64)
+        hard = np.full((len(chances), 1), HARD_CHANCE)
+        foreseen = told.foreseen(
+            np.concatenate(modes, 1, dtype=np.float64), np.concatenate([chances, hard], 1), standing
         )
-        steady = np.repeat(now[:, None, None], len(PLAN_TIMES), 2)
-        steady[..., :2] += PLAN_TIMES[:, None] * others[there, -1, None, None, VELOCITY]
-        poses, certain = foreseen_poses(now, steady, from_s=delay_s), np.ones((len(now), 1))
-        return foreseen, replace(foreseen, poses=poses, probabilities=certain)
+        return foreseen, told.steady(standing)
+
+
+def _driven(plans: Array, start: EgoState, car: Car, road: Raster, course: Course) -> Driven:
+    wheelbase = 2 * WHEELBASE * car.half_length
+    return Driven.of(plans, start, car, road, wheelbase=wheelbase, course=course)
+
+
+def _course(plans: Array, likely: Array, scene: ConditionedScene, start: EgoState) -> Course:
+    """Return the route of a request; without one, where plans [N,8,3] go that are likely [N]."""
+    route = route_of(scene)
+    return presumed_course(plans, likely, start) if route is None else Course(route)
 
 
 def _state(scene: ConditionedScene) -> EgoState:

@@ -15,11 +15,11 @@ from anchorflow_driving.pdm.traffic import Others
 from anchorflow_driving.window import Vehicle
 from anchorflow_trajectory.car.foresight import (
     POWER,
+    Driven,
     Foreseen,
     _chances,
     foreseen_poses,
     standing_places,
-    worth,
 )
 from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState, Motion, interpolate, track
 from anchorflow_trajectory.guard.faults import Raster
@@ -31,9 +31,7 @@ CAR = Car(2.3 + AXLE, 2.3 - AXLE, 0.9)
 START = EgoState(np.zeros(3), SPEED, 0.0, 0.0)
 ROAD = Raster(np.ones((1, 192, 128), np.float32), (-16.0, 80.0, -32.0, 32.0))
 HALF = np.array([2.3, 0.9])
-NOBODY = Foreseen(
-    np.zeros((0, 1, 50, 3)), np.zeros((0, 1)), np.zeros((0, 2)), np.zeros((0, 2)), ROAD
-)
+NOBODY = Foreseen(np.zeros((0, 1, 50, 3)), np.zeros((0, 1)), np.zeros((0, 2)), np.zeros((0, 2)))
 
 
 def straight(*speeds: float) -> np.ndarray:
@@ -54,8 +52,10 @@ def among(*boxes: np.ndarray, chances: tuple[float, ...] = (1.0,)) -> Foreseen:
     return replace(NOBODY, poses=np.concatenate(boxes), probabilities=weights, half=half)
 
 
-def value(plans: np.ndarray, foreseen: Foreseen) -> np.ndarray:
-    return worth(plans, START, CAR, foreseen, wheelbase=WHEELBASE)
+def value(
+    plans: np.ndarray, foreseen: Foreseen, *, start: EgoState = START, road: Raster = ROAD
+) -> np.ndarray:
+    return Driven.of(plans, start, CAR, road, wheelbase=WHEELBASE).among(foreseen).worth()
 
 
 def test_on_a_free_road_a_drive_is_worth_its_length() -> None:
@@ -110,7 +110,7 @@ def test_cells_of_boxes_are_theirs_and_all_others_stand() -> None:
 def test_off_the_road_nothing_is_worth_anything() -> None:
     cells = np.ones((1, 192, 128), np.float32)
     cells[0, :100] = 0.0  # the road ends at x = 30
-    on, off = value(straight(0.0, 8.0), replace(NOBODY, road=replace(ROAD, values=cells)))
+    on, off = value(straight(0.0, 8.0), NOBODY, road=replace(ROAD, values=cells))
     assert on > 0.0
     assert off == 0.0
 
@@ -129,7 +129,7 @@ def test_a_plan_that_begins_elsewhere_is_worth_the_same_there() -> None:
     poses = np.asarray(out_of_frame(foreseen.poses.astype(np.float64), start))
     here, elsewhere = value(plans, foreseen), replace(foreseen, poses=poses)
     state = replace(START, pose=start)
-    there = worth(out_of_frame(plans, start), state, CAR, elsewhere, wheelbase=WHEELBASE)
+    there = value(out_of_frame(plans, start), elsewhere, start=state)
     np.testing.assert_allclose(here, there, atol=1e-6)
     assert 0.0 < here[0] < here[1]
 

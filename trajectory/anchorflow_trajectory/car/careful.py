@@ -18,7 +18,7 @@ from anchorflow_trajectory.car.following import (
     Leaders,
     drives_behind,
 )
-from anchorflow_trajectory.car.foresight import Foreseen, expected
+from anchorflow_trajectory.car.foresight import Driven, Foreseen
 from anchorflow_trajectory.car.tracking import FRAME_S, STEPS, EgoState
 from anchorflow_trajectory.guard.motion import Car
 
@@ -34,43 +34,25 @@ BEFORE_M, BEYOND_M = 3.0, 60.0
 """m by which a presumed course begins before the car and goes on after its plan."""
 
 
-def careful_drives(
-    course: Course, start: EgoState, car: Car, seen: Foreseen, foreseen: Foreseen
-) -> FloatArray:
-    """Return drives [30,8,3] at 0.5 … 4.0 s after the start; the first 15 for those as `seen`.
-
-    seen: the same others at their present velocities
-    """
-    ways = [
-        drives_behind(
-            course,
-            _leaders(course, car, others),
-            car,
-            pose=start.pose,
-            speed=start.speed,
-            speed_limit=UNKNOWN_SPEED_LIMIT,
-        )[:, STRIDE::STRIDE]
-        for others in (seen, foreseen)
-    ]
-    return np.concatenate(ways)
+def careful_drives(course: Course, start: EgoState, car: Car, foreseen: Foreseen) -> FloatArray:
+    """Return drives [15,8,3] at 0.5 … 4.0 s after the start, behind others in their likeliest
+    modes."""
+    leaders = _leaders(course, car, foreseen)
+    drives = drives_behind(
+        course,
+        leaders,
+        car,
+        pose=start.pose,
+        speed=start.speed,
+        speed_limit=UNKNOWN_SPEED_LIMIT,
+    )
+    return drives[:, STRIDE::STRIDE]
 
 
-def reference_progress(
-    drives: FloatArray,
-    course: Course,
-    start: EgoState,
-    car: Car,
-    seen: Foreseen,
-    *,
-    wheelbase: float,
-) -> float:
-    """Return the m of progress of the drive [N,8,3] that is best if everybody keeps his velocity.
-
-    wheelbase: m
-    """
-    found = expected(drives, start, car, seen, wheelbase=wheelbase, course=course)
-    progress = found.way * found.kept
-    quality = found.quality(float(progress.max()), free=FREE_PROGRESS)
+def reference_progress(drives: Driven, seen: Foreseen) -> float:
+    """Return the m of progress of the drive that is best if everybody keeps his velocity."""
+    found = drives.among(seen)
+    quality = found.quality(float((found.way * found.kept).max()), free=FREE_PROGRESS)
     return float(found.way[(found.kept * quality).argmax()])
 
 

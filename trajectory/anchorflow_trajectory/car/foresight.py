@@ -1,6 +1,6 @@
 """What plans are worth among others who may go several ways.
 
-    worth = NC · DAC · ((5 EP + 5 TTC + 2 C) / 12)^6
+    worth = NC · DAC · ((5 EP + 5 TTC + 2 C) / 12)^8
 
 is a PDM score of what is driven, expected over the others' modes. Each plan is tracked by the
 controller of `tracking`. NC and TTC are the chances that the car hits nobody, and that nothing is
@@ -32,7 +32,7 @@ from anchorflow_trajectory.compiled import compiled, compiled_part
 from anchorflow_trajectory.guard.faults import Raster
 from anchorflow_trajectory.guard.motion import Car
 
-POWER = 6
+POWER = 8
 FREE_PROGRESS = 5.0
 """m; progress counts only if some plan exceeds it."""
 LAST_LOOK = 9
@@ -60,14 +60,12 @@ class Foreseen:
     poses: [A,M,50,3] of the others' middles in each mode, FRAME_S apart from the start on
     probabilities: [A,M]; half: [A,2] half lengths and widths
     standing: [P,2] places that something else takes
-    road: one layer, how sure each cell is road
     """
 
     poses: FloatArray
     probabilities: FloatArray
     half: FloatArray
     standing: FloatArray
-    road: Raster
 
 
 def foreseen_poses(now: FloatArray, futures: FloatArray, *, from_s: float = 0.0) -> FloatArray:
@@ -130,50 +128,62 @@ class Expected:
             progress = np.ones_like(progress)
         return (5 * progress + 5 * self.ahead + 2 * self.comfortable) / 12
 
+    def worth(self, *, reference: float = np.inf, power: float = POWER) -> FloatArray:
+        """Return what the plans are worth, [N] in [0, 1].
 
-def expected(
-    plans: FloatArray,
-    start: EgoState,
-    car: Car,
-    foreseen: Foreseen,
-    *,
-    wheelbase: float,
-    course: Course | None = None,
-) -> Expected:
-    """Return what plans [N,8,3] at 0.5 … 4.0 s after their start are expected to be scored for.
+        reference: m of progress that is enough
+        """
+        return self.kept * self.quality(min(self.longest, reference)) ** power
 
-    start: where they begin, and from when on the others are foreseen; wheelbase: m
-    course: along which progress is measured; by default along what is driven
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """N plans as they are driven.
+
+    on_road: [N] how sure the road is kept; comfortable: [N] 0 or 1; way: [N] m of progress
     """
-    poses = np.concatenate([np.tile(start.pose, (len(plans), 1, 1)), plans], 1)
-    motion = track(interpolate(np.asarray(poses, np.float64)), start, wheelbase=wheelbase)
-    clear, ahead = _chances(motion, car, foreseen)
-    if course is None:
-        way = np.linalg.norm(np.diff(motion.poses[..., :2], axis=1), axis=-1).sum(1)
-    else:
-        x, y, heading = np.moveaxis(motion.poses[:, [0, -1]], -1, 0)
-        middles = [x + car.middle * np.cos(heading), y + car.middle * np.sin(heading)]
-        along, _ = course.project(np.stack(middles, -1))
-        way = np.maximum(along[:, 1] - along[:, 0], 0.0)
-    return Expected(clear * _on_road(motion, car, foreseen.road), ahead, comfort(motion), way)
 
+    motion: Motion
+    car: Car
+    on_road: FloatArray
+    comfortable: FloatArray
+    way: FloatArray
 
-def worth(
-    plans: FloatArray,
-    start: EgoState,
-    car: Car,
-    foreseen: Foreseen,
-    *,
-    wheelbase: float,
-    course: Course | None = None,
-    reference: float = np.inf,
-) -> FloatArray:
-    """Return what plans [N,8,3] are worth, [N] in [0, 1].
+    @classmethod
+    def of(
+        cls,
+        plans: FloatArray,
+        start: EgoState,
+        car: Car,
+        road: Raster,
+        *,
+        wheelbase: float,
+        course: Course | None = None,
+    ) -> Driven:
+        """Track plans [N,8,3] at 0.5 … 4.0 s after their start.
 
-    reference: m of progress that is enough; other arguments: see `expected`
-    """
-    found = expected(plans, start, car, foreseen, wheelbase=wheelbase, course=course)
-    return found.kept * found.quality(min(found.longest, reference)) ** POWER
+        road: one layer, how sure each cell is road; wheelbase: m
+        course: along which progress is measured; by default along what is driven
+        """
+        poses = np.concatenate([np.tile(start.pose, (len(plans), 1, 1)), plans], 1)
+        motion = track(interpolate(np.asarray(poses, np.float64)), start, wheelbase=wheelbase)
+        if course is None:
+            way = np.linalg.norm(np.diff(motion.poses[..., :2], axis=1), axis=-1).sum(1)
+        else:
+            x, y, heading = np.moveaxis(motion.poses[:, [0, -1]], -1, 0)
+            middles = [x + car.middle * np.cos(heading), y + car.middle * np.sin(heading)]
+            along, _ = course.project(np.stack(middles, -1))
+            way = np.maximum(along[:, 1] - along[:, 0], 0.0)
+        return cls(motion, car, _on_road(motion, car, road), comfort(motion), way)
+
+    def __getitem__(self, plans: slice) -> Driven:
+        own = self.on_road[plans], self.comfortable[plans], self.way[plans]
+        return Driven(self.motion[plans], self.car, *own)
+
+    def among(self, foreseen: Foreseen) -> Expected:
+        """Return what the plans are expected to be scored for among others."""
+        clear, ahead = _chances(self.motion, self.car, foreseen)
+        return Expected(clear * self.on_road, ahead, self.comfortable, self.way)
 
 
 def _chances(motion: Motion, car: Car, foreseen: Foreseen) -> tuple[FloatArray, FloatArray]:

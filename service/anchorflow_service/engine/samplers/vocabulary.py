@@ -5,7 +5,8 @@
 
 A planner that takes pictures and a text has the graph `vision` before them (`vision_language.py`).
 Either graph may give any of them. Without scores the trajectories keep the order of the graph; with
-a route in the request those that end beside it lose score (`along_route.py`).
+a route in the request those that end beside it lose score (`along_route.py`), and with others those
+that may hit them (`foresight.py`).
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ import numpy as np
 
 from anchorflow_service.bundle.entries import VisionLanguageEntry
 from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.engine.along_route import AlongRoute
 from anchorflow_service.engine.conditioning.vision_language import Views, view_faults
+from anchorflow_service.engine.foresight import Foresight
 from anchorflow_service.engine.interfaces import (
     Arrays,
     Check,
@@ -29,7 +32,6 @@ from anchorflow_service.engine.interfaces import (
     names_of_each,
     unknown_names,
 )
-from anchorflow_service.engine.samplers.along_route import AlongRoute
 
 TRAJECTORIES, SCORES = "trajectories", "scores"
 
@@ -40,6 +42,7 @@ class VocabularySampler:
     def __init__(self, manifest: Manifest, graphs: Graphs, *, threads: int) -> None:  # noqa: ARG002
         self._graphs, self._encode_inputs = graphs, manifest.graphs["encode"].input_names
         self._is_scored, self._along = "score" in manifest.graphs, AlongRoute(manifest)
+        self._foresight = Foresight.by_rule(manifest)
         looks = isinstance(manifest.conditioning, VisionLanguageEntry)
         self.views = Views(manifest, graphs) if looks else None
         self._of_each = names_of_each(manifest.sampled_extras)
@@ -92,6 +95,8 @@ class VocabularySampler:
         scores = given[SCORES][0] if SCORES in given else None
         if scores is not None:
             scores = self._along.scored(scores, trajectories, scene)
+            if self._foresight:
+                scores = self._foresight.scored(scores, trajectories, scene)
         ranks = np.zeros(len(trajectories)) if scores is None else scores
         chosen = best(ranks, scene.request.num_samples)
         arrays = {name: given[name][0] for name in self._extras}

@@ -29,8 +29,16 @@ class AlongRoute:
         """Return the scores [K] of trajectories [K,T,D] along the route."""
         if not self._reads:
             return scores
-        (route,) = scene.inputs((ROUTE,))[ROUTE]
-        if not np.ptp(route, axis=0).any():  # not told: all points are one
+        route = route_of(scene)
+        if route is None:
             return scores
         beside = beside_route(trajectories[:, -1, :2], route)
         return (scores - LOSS * np.maximum(beside - WITHIN_M, 0.0)).astype(scores.dtype)
+
+
+def route_of(scene: ConditionedScene) -> Array | None:
+    """Return the route [P,2] of a scene; None if it is not told, or all points are one."""
+    if ROUTE not in scene.request.inputs:
+        return None
+    (route,) = scene.inputs((ROUTE,))[ROUTE]
+    return route if np.ptp(route, axis=0).any() else None
