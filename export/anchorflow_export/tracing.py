@@ -9,14 +9,10 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
-from unittest.mock import patch
 
 import onnx
 import torch
-from onnxscript.rewriter.rules.common import slice_split_rule
-from onnxscript.values import TracedOnnxFunction
 from torch import Tensor, nn
 from torch.export import Dim
 
@@ -25,7 +21,6 @@ from anchorflow_client.errors import AnchorFlowError
 from anchorflow_models.torch_graphs import Role
 
 OPSET = 20
-SIGNATURE: Any = TracedOnnxFunction.function_ir
 
 
 class ExportError(AnchorFlowError):
@@ -175,23 +170,14 @@ def _check_axes(name: str, model: onnx.ModelProto, inputs: Sequence[TensorSpec])
 
 @contextmanager
 def _quiet_exporter() -> Iterator[None]:
-    """Silence warnings of torch about itself, and leave out what takes a third of a trace's time.
-
-    That is the collection of garbage; a rule that joins two slices into one split, which looks
-    through the whole graph once for every node, and our planners have no such pair; and reading
-    the source of every function of the operators' library again for each graph.
-    """
+    """Silence warnings of torch about itself; collect no garbage, a fifth of a trace's time."""
     collects = gc.isenabled()
     gc.disable()
     registry = logging.getLogger("torch.onnx._internal.exporter._registration")
     level = registry.level
     registry.setLevel(logging.ERROR)  # it warns that torchvision is missing
     try:
-        with (
-            patch.object(slice_split_rule, "try_rewrite", lambda *_, **__: None),
-            patch.object(TracedOnnxFunction, "function_ir", property(_signature_of)),
-            warnings.catch_warnings(),
-        ):
+        with warnings.catch_warnings():
             # Torch uses an API that it deprecates.
             warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
             # Several inputs share an axis on purpose.
@@ -201,11 +187,6 @@ def _quiet_exporter() -> Iterator[None]:
         registry.setLevel(level)
         if collects:
             gc.enable()
-
-
-@cache
-def _signature_of(function: TracedOnnxFunction) -> Any:
-    return SIGNATURE.fget(function)
 
 
 def _forget_origin(model: onnx.ModelProto) -> None:
