@@ -39,8 +39,16 @@ def scene(
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        (scene(((41, 8),)), "the start is 0.150 m from an obstacle, and robot_radius is 0.25 m"),
-        (scene(((41, 71),)), "the goal is 0.150 m from an obstacle, and robot_radius is 0.25 m"),
+        (
+            scene(((41, 8),)),
+            "the start is 0.150 m from an obstacle, and robot_radius is 0.25 m; "
+            "clear_start frees the cells under the robot",
+        ),
+        (
+            scene(((41, 71),)),
+            "the goal is 0.150 m from an obstacle, and robot_radius is 0.25 m; "
+            "with goal_tolerance anchors may end beside it",
+        ),
         (scene(velocity=5.0), "the start moves at 5.00 m/s, and v_max is 2 m/s"),
         (scene(pull=6.0), "the start accelerates by 6.00 m/s^2, and a_max is 3 m/s^2"),
         (scene(ROOM), "no way leads from the start to the goal: obstacles enclose the goal"),

@@ -24,6 +24,10 @@ from anchorflow_trajectory.scene import Scene
 
 HALVINGS = 12  # of the widths between which the widest gap lies
 LOOK = 0.05  # m between two points of a braking distance
+HELP = {
+    "start": "clear_start frees the cells under the robot",
+    "goal": "with goal_tolerance anchors may end beside it",
+}
 LARGER_MAP = "both ends reach the edge of the map, so a larger one may show another way"
 
 
@@ -55,7 +59,10 @@ def _too_near(scene: Scene, name: str, place: FloatArray, margin: float) -> Iter
     share = SHARE_OF_CELL * field.resolution
     if room < 0.0:
         apart = max(radius + room, 0.0)
-        yield f"the {name} is {apart:.3f} m from an obstacle, and robot_radius is {radius:g} m"
+        yield (
+            f"the {name} is {apart:.3f} m from an obstacle, and robot_radius is {radius:g} m; "
+            f"{HELP[name]}"
+        )
     elif room < margin + share:
         yield (
             f"the {name} keeps {room:.3f} m of the {margin:.3f} m that are asked for and "
