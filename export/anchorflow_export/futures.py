@@ -14,7 +14,6 @@ from anchorflow_client.contract import TensorSpec
 from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
 from anchorflow_export.bundle import into_place, write_graph
 from anchorflow_export.parity import TOLERANCE, Difference
-from anchorflow_export.planners.random_requests import OTHERS_TOLD
 from anchorflow_export.tracing import ExportError, random_tensor, trace
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
 from anchorflow_models.torch_graphs import Role, TorchGraphs
@@ -23,13 +22,18 @@ from anchorflow_service.bundle.graphs import OnnxGraphs
 from anchorflow_service.bundle.manifest import FILE_NAME, OTHERS
 from anchorflow_service.engine import Engine
 
+OTHERS_UNIT = (
+    "-2, -1.5, -1, -0.5 and 0 s: x, y: m; heading: rad; velocity x, y: m/s; length, width: m; "
+    "kind: 1 vehicle, 2 person, 3 cyclist, 0 nobody"
+)
+FARTHEST = 1000.0
 SCENES = 3
 
 
 def others_spec(config: FuturesConfig) -> TensorSpec:
     """Return the spec of the input `others`."""
     shape = ("B", config.others, config.times, 8)
-    return replace(OTHERS_TOLD, shape=shape)
+    return TensorSpec(OTHERS, "float32", shape, OTHERS_UNIT, (-FARTHEST, FARTHEST), optional=True)
 
 
 def futures_specs(config: FuturesConfig) -> tuple[TensorSpec, TensorSpec]:

@@ -13,7 +13,6 @@ from command_line import failure
 from driven_bend import bend
 from exported_bundles import PREDICTING, export_once, small_futures
 
-from anchorflow_client.contract import TimeSpec
 from anchorflow_client.contract.batch import FUTURES
 from anchorflow_client.errors import AbsentError, InvalidRequest
 from anchorflow_client.sensors import KIND
@@ -22,7 +21,6 @@ from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes
 from anchorflow_export.futures import add_futures
-from anchorflow_export.planners.random_requests import OTHERS_TOLD, car_inputs
 from anchorflow_export.tracing import ExportError, TracedGraph
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -110,11 +108,3 @@ def test_a_bundle_with_other_inputs_or_times_is_refused(tmp_path: Path) -> None:
         add_futures(FuturesNetwork(FuturesConfig(num_steps=6)), goalflow, training={})
     before, after = (load_bundle(path).manifest for path in (BUNDLES / "goalflow", goalflow))
     assert after == before
-
-
-def test_only_cars_that_plan_four_seconds_are_told_of_others() -> None:
-    four, three = (TimeSpec(steps=steps, first_s=0.5, dt=0.5) for steps in (8, 6))
-    assert [spec.name for spec in car_inputs((), four)] == ["route", "others"]
-    assert [spec.name for spec in car_inputs((), three)] == ["route"]
-    for name in ("goalflow", "wote", "diffusiondrive"):
-        assert OTHERS_TOLD in load_bundle(BUNDLES / name).manifest.request.inputs

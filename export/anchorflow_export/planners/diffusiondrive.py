@@ -17,7 +17,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import (
-    car_inputs,
+    ROUTE,
     perceived,
     sensor_guard,
     sensor_inputs,
@@ -71,10 +71,9 @@ def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> P
     inputs = sensor_inputs(config.backbone)
     names = tuple(spec.name for spec in inputs)
     direction = TensorSpec("direction_scores", F32, ("B", "N"), range=(0.0, 1.0))
-    time = TimeSpec(steps=POSES, first_s=FIRST_S, dt=STEP_S)
     return PlannerAdapter(
         parts=PlannerParts(
-            inputs=car_inputs(inputs, time),
+            inputs=(*inputs, ROUTE),
             conditioning=TensorsSpec(),
             sampler=TruncatedDiffusionEntry(
                 anchors=config.anchors,
@@ -92,7 +91,7 @@ def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> P
                 foretold=bool(config.encounters),
                 lasts_s=FIRST_S + (POSES - 1) * STEP_S,
             ),
-            time=time,
+            time=TimeSpec(steps=POSES, first_s=FIRST_S, dt=STEP_S),
             answer=AnswerSpec(
                 components=COMPONENTS,
                 arrays=("scores",),

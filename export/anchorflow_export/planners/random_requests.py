@@ -15,15 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from anchorflow_client.contract import AnchorRequest, ModelCard, TensorSpec, TimeSpec
-from anchorflow_client.sensors import (
-    KIND,
-    LIDAR_BEFORE_S,
-    OTHERS,
-    OTHERS_TIMES_S,
-    ROUTE_POINTS,
-    ROUTE_SPACING_M,
-)
+from anchorflow_client.contract import AnchorRequest, ModelCard, TensorSpec
+from anchorflow_client.sensors import LIDAR_BEFORE_S, ROUTE_POINTS, ROUTE_SPACING_M
 from anchorflow_export.adapter import F32, Sizes
 from anchorflow_export.tracing import random_tensor
 from anchorflow_models.goalflow import BevLayout
@@ -46,26 +39,10 @@ STATUS_UNIT = (
     "command left, straight, right, unknown: 0 or 1; velocity x, y: m/s; acceleration x, y: m/s^2"
 )
 ROUTE = TensorSpec("route", F32, ("B", ROUTE_POINTS, 2), "m", (-1e3, 1e3), optional=True)
-OTHERS_TOLD = TensorSpec(
-    "others",
-    F32,
-    ("B", OTHERS, len(OTHERS_TIMES_S), KIND + 1),
-    "-2, -1.5, -1, -0.5 and 0 s: x, y: m; heading: rad; velocity x, y: m/s; length, width: m; "
-    "kind: 1 vehicle, 2 person, 3 cyclist, 0 nobody",
-    (-1e3, 1e3),
-    optional=True,
-)
 FASTEST, SHARPEST = 16.0, 2.0  # m/s and m/s² of cars in random streets
 WIDTHS = (6.0, 16.0)  # m, of the streets
 BLOCK, TAKEN = 8, 0.05  # cells a side of the blocks beside a street; their share
 TURNING = 0.01  # rad more from point to point of random routes, times a normal number
-
-
-def car_inputs(sensors: tuple[TensorSpec, ...], time: TimeSpec) -> tuple[TensorSpec, ...]:
-    """Return the inputs of a car that may be told its route and, with poses at 0.5 … 4.0 s, who
-    else is there."""
-    foresees = (time.first_s, time.dt, time.steps) == (0.5, 0.5, 8)
-    return (*sensors, ROUTE, OTHERS_TOLD) if foresees else (*sensors, ROUTE)
 
 
 def map_request(card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
@@ -166,12 +143,9 @@ def sensor_guard(backbone: TransfuserConfig, *, foretold: bool, lasts_s: float) 
 
 
 def sensor_request(card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
-    """Return a request with random inputs, and a command and a motion that a car may have; no
-    graph reads of others.
-    """
+    """Return a request with random inputs, and a command and a motion that a car may have."""
     generator, B = torch.Generator().manual_seed(seed), sizes["B"]
-    read = [spec for spec in card.inputs if spec != OTHERS_TOLD]
-    inputs = {spec.name: random_tensor(spec, sizes, generator=generator) for spec in read}
+    inputs = {spec.name: random_tensor(spec, sizes, generator=generator) for spec in card.inputs}
     speed = 15.0 * torch.rand(B, 1, generator=generator)
     rest = torch.randn(B, STATUS - COMMANDS - 1, generator=generator)
     inputs["ego_status"] = torch.cat([_commands(B, generator), speed, rest], -1)

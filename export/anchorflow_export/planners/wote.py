@@ -14,7 +14,7 @@ from anchorflow_client.contract import (
 )
 from anchorflow_export.adapter import COMPONENTS, F32, ExportChoices, PlannerAdapter, PlannerParts
 from anchorflow_export.planners.random_requests import (
-    car_inputs,
+    ROUTE,
     perceived,
     sensor_guard,
     sensor_inputs,
@@ -51,10 +51,9 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
     inputs = sensor_inputs(config.backbone)
     names = tuple(spec.name for spec in inputs)
     context = model.context_for_score
-    time = TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt)
     return PlannerAdapter(
         parts=PlannerParts(
-            inputs=car_inputs(inputs, time),
+            inputs=(*inputs, ROUTE),
             conditioning=TensorsSpec(),
             sampler=VocabularySpec(size=config.judged),
             finish=sensor_guard(
@@ -62,7 +61,7 @@ def wote_adapter(model: WoTE, _choices: ExportChoices) -> PlannerAdapter:
                 foretold=bool(config.encounters),
                 lasts_s=config.num_steps * config.dt,
             ),
-            time=time,
+            time=TimeSpec(steps=config.num_steps, first_s=config.dt, dt=config.dt),
             answer=AnswerSpec(
                 components=COMPONENTS,
                 arrays=("scores",),

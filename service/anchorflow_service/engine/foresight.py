@@ -10,7 +10,7 @@ import numpy as np
 from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
 from anchorflow_client.sensors import HEADING, KIND, LENGTH, OTHERS_TIMES_S, VX, WIDTH
 from anchorflow_service.bundle.entries import STATUS, GuardEntry
-from anchorflow_service.bundle.manifest import OTHERS, Manifest
+from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.along_route import route_of
 from anchorflow_service.engine.futures import OthersFutures
 from anchorflow_service.engine.guard import SCORES, car_of, raster_of
@@ -32,13 +32,7 @@ from anchorflow_service.engine.late import (
     yaw_rate_of,
 )
 from anchorflow_service.engine.later_loops import FORESIGHT_LOOPS
-from anchorflow_trajectory.car.by_rule import (
-    BRAKES,
-    BRAKES_HARD,
-    BRAKING_CHANCE,
-    HARD_CHANCE,
-    arcs,
-)
+from anchorflow_trajectory.car.by_rule import BRAKES_HARD, HARD_CHANCE, arcs
 from anchorflow_trajectory.car.careful import (
     careful_drives,
     presumed_course,
@@ -60,10 +54,6 @@ WHEELBASE = 0.5968
 PERSON = 2
 """A kind of `others`, who may turn on the spot."""
 SECOND_AGO = OTHERS_TIMES_S.index(-1.0)
-RULE_POWER, RULE_SHARE, LEAST_WORTH = 4, 0.3, 1e-4
-"""A planner without futures scores its own score + share · log worth."""
-ANYWHERE = Raster(np.ones((1, 4, 4), np.float32), (0.0, 1.0, 0.0, 1.0))
-"""A road that is sure everywhere."""
 Scorer = Callable[[Array], Array]
 """Scores [K] of states [K,T,S] that the sampler did not draw."""
 
@@ -126,47 +116,17 @@ class Foresight:
         self._of_each = names_of_each(manifest.sampled_extras)
         FORESIGHT_LOOPS.load()
 
-    @classmethod
-    def by_rule(cls, manifest: Manifest) -> Foresight | None:
-        """Return that of a bundle that has no futures; None if its requests have no others."""
-        return (
-            None if FUTURES in manifest.graphs or not cls.is_possible(manifest) else cls(manifest)
-        )
-
     @staticmethod
     def is_possible(manifest: Manifest) -> bool:
-        """Return whether a bundle has `others`, scores, the poses of 4 s and what a guard reads."""
+        """Return whether a bundle has futures, scores, the poses of 4 s and what a guard reads."""
         finish, time = manifest.finish, manifest.time
         times = time.first_s + (time.dt or 0.0) * np.arange(time.steps)
         return (
             isinstance(finish, GuardEntry)
-            and (finish.occupied is not None or FUTURES not in manifest.graphs)
-            and OTHERS in {spec.name for spec in manifest.request.inputs}
+            and finish.occupied is not None
             and SCORES in manifest.answer.arrays
             and np.array_equal(times, PLAN_TIMES)
         )
-
-    def scored(self, scores: Array, trajectories: Array, scene: ConditionedScene) -> Array:
-        """Return the scores [N] of trajectories [N,T,3] among others who go on by rule, if a
-        request tells of them.
-
-        The road, and whatever stands on it, is left to the scores.
-        """
-        if not OthersFutures.told(scene):
-            return scores
-        FORESIGHT_LOOPS.require()
-        told, nothing, car, start = _Told.by(scene), np.zeros((0, 2)), *self._car(scene)
-        futures = np.concatenate([told.braking(0.0), told.braking(BRAKES)], 1)
-        chances = np.array([1 - BRAKING_CHANCE, BRAKING_CHANCE])
-        foreseen, seen = told.foreseen(futures, chances, nothing), told.steady(nothing)
-        plans = self._answered(trajectories, scene)
-        course = _course(plans, np.exp(scores - scores.max()), scene, start)
-        careful = careful_drives(course, start, car, seen)
-        driven = _driven(np.concatenate([plans, careful]), start, car, ANYWHERE, course)
-        reference = reference_progress(driven[len(plans) :], seen)
-        worth = driven[: len(plans)].among(foreseen).worth(reference=reference, power=RULE_POWER)
-        added = RULE_SHARE * np.log(np.maximum(worth, LEAST_WORTH))
-        return (scores + added).astype(scores.dtype)
 
     def chosen(
         self, samples: Samples, scene: ConditionedScene, futures: Arrays, scorer: Scorer | None

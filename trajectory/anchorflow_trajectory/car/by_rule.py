@@ -9,8 +9,6 @@ from anchorflow_trajectory.car.tracking import PLAN_TIMES
 
 SLOWEST_TURN, SHARPEST_TURN = 1.0, 0.6
 """m/s up to which a turn is noise, and rad/s beyond which it is."""
-BRAKES, BRAKING_CHANCE = 2.0, 0.3
-"""m/s² and the chance of those who are foreseen by rule alone."""
 BRAKES_HARD, HARD_CHANCE = 3.0, 0.1
 """m/s² and a chance that is added to what a network foresees: its modes brake less than some do."""
 

@@ -128,12 +128,12 @@ class Expected:
             progress = np.ones_like(progress)
         return (5 * progress + 5 * self.ahead + 2 * self.comfortable) / 12
 
-    def worth(self, *, reference: float = np.inf, power: float = POWER) -> FloatArray:
+    def worth(self, *, reference: float = np.inf) -> FloatArray:
         """Return what the plans are worth, [N] in [0, 1].
 
         reference: m of progress that is enough
         """
-        return self.kept * self.quality(min(self.longest, reference)) ** power
+        return self.kept * self.quality(min(self.longest, reference)) ** POWER
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,7 @@
 
 x_t, x_0 and the anchors of encode are in the diffusion's own units, everything else in SI's. The
 noise is drawn here from the request's seed; what the graphs do with it is deterministic. With a
-route in the request, candidates that end beside it lose score (`along_route.py`), and with others
-those that may hit them (`foresight.py`).
+route in the request, candidates that end beside it lose score (`along_route.py`).
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from anchorflow_client.contract import TruncatedDiffusionSpec
 from anchorflow_service.bundle.entries import TruncatedDiffusionEntry
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.along_route import AlongRoute
-from anchorflow_service.engine.foresight import Foresight
 from anchorflow_service.engine.interfaces import (
     Arrays,
     Check,
@@ -74,7 +72,6 @@ class TruncatedDiffusionSampler:
         self._manifest, self._graphs, self._entry = manifest, graphs, manifest.sampler
         self._signal = self._entry.noise.signal
         self._T, self._along = manifest.time.steps, AlongRoute(manifest)
-        self._foresight = Foresight.by_rule(manifest)
         extras = manifest.sampled_extras
         self._of_each = names_of_each(extras)
         self._extras = {spec.name for spec in extras}
@@ -174,8 +171,6 @@ class TruncatedDiffusionSampler:
         given = {**context, **kept}
         given |= self._graphs.run("fine", given, threads=threads)
         scores = self._along.scored(given[SCORES][0], given[CANDIDATES][0], scene)
-        if self._foresight:
-            scores = self._foresight.scored(scores, given[CANDIDATES][0], scene)
         chosen = best(scores, request.num_samples)
         arrays = {**{name: given[name][0] for name in self._extras}, SCORES: scores}
         arrays = {

@@ -5,8 +5,7 @@
 
 A planner that takes pictures and a text has the graph `vision` before them (`vision_language.py`).
 Either graph may give any of them. Without scores the trajectories keep the order of the graph; with
-a route in the request those that end beside it lose score (`along_route.py`), and with others those
-that may hit them (`foresight.py`).
+a route in the request those that end beside it lose score (`along_route.py`).
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ from anchorflow_service.bundle.entries import VisionLanguageEntry
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.along_route import AlongRoute
 from anchorflow_service.engine.conditioning.vision_language import Views, view_faults
-from anchorflow_service.engine.foresight import Foresight
 from anchorflow_service.engine.interfaces import (
     Arrays,
     Check,
@@ -42,7 +40,6 @@ class VocabularySampler:
     def __init__(self, manifest: Manifest, graphs: Graphs, *, threads: int) -> None:  # noqa: ARG002
         self._graphs, self._encode_inputs = graphs, manifest.graphs["encode"].input_names
         self._is_scored, self._along = "score" in manifest.graphs, AlongRoute(manifest)
-        self._foresight = Foresight.by_rule(manifest)
         looks = isinstance(manifest.conditioning, VisionLanguageEntry)
         self.views = Views(manifest, graphs) if looks else None
         self._of_each = names_of_each(manifest.sampled_extras)
@@ -95,8 +92,6 @@ class VocabularySampler:
         scores = given[SCORES][0] if SCORES in given else None
         if scores is not None:
             scores = self._along.scored(scores, trajectories, scene)
-            if self._foresight:
-                scores = self._foresight.scored(scores, trajectories, scene)
         ranks = np.zeros(len(trajectories)) if scores is None else scores
         chosen = best(ranks, scene.request.num_samples)
         arrays = {name: given[name][0] for name in self._extras}
