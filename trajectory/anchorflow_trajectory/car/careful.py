@@ -74,21 +74,26 @@ def presumed_course(plans: FloatArray, scores: FloatArray, start: EgoState) -> C
 
 def _leaders(course: Course, car: Car, foreseen: Foreseen) -> Leaders:
     """Return the others in their likeliest modes, and what stands near the course."""
-    places = foreseen.standing
-    if len(places):
-        _, aside = course.project(places)
-        places = places[np.abs(aside) <= max(OFFSETS) + car.side + 2 * HALF_PLACE]
     likeliest = foreseen.probabilities.argmax(1)
     driven = foreseen.poses[np.arange(len(likeliest)), likeliest]
-    stand = np.zeros((len(places), *driven.shape[1:]))
-    stand[..., :2] = places[:, None]
-    poses = np.concatenate([driven, stand])
-    half = np.concatenate([foreseen.half, np.full((len(places), 2), HALF_PLACE)])
-    velocity = np.gradient(poses[..., :2], FRAME_S, axis=1)[:, : STEPS + 1 : LOOK_STRIDE]
-    poses = poses[:, : STEPS + 1 : LOOK_STRIDE]
-    along, left = course.project(poses[..., :2])
+    velocity = np.gradient(driven[..., :2], FRAME_S, axis=1)[:, : STEPS + 1 : LOOK_STRIDE]
+    driven = driven[:, : STEPS + 1 : LOOK_STRIDE]
+    along, left = course.project(driven[..., :2])
     heading = np.interp(along, course.arc_length, course.heading)
-    cos, sin = (np.abs(part(poses[..., 2] - heading)) for part in (np.cos, np.sin))
+    turned, half = driven[..., 2] - heading, foreseen.half
+    speed = velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading)
+    if len(foreseen.standing):
+        places = np.stack(course.project(foreseen.standing), 1)
+        beside = max(OFFSETS) + car.side + 2 * HALF_PLACE
+        places = places[np.abs(places[:, 1]) <= beside]
+        always = np.ones((1, driven.shape[1]))
+        along = np.concatenate([along, places[:, :1] * always])
+        left = np.concatenate([left, places[:, 1:] * always])
+        ahead = np.interp(places[:, :1], course.arc_length, course.heading)
+        turned = np.concatenate([turned, -ahead * always])
+        half = np.concatenate([half, np.full((len(places), 2), HALF_PLACE)])
+        speed = np.concatenate([speed, np.zeros((len(places), driven.shape[1]))])
+    cos, sin = np.abs(np.cos(turned)), np.abs(np.sin(turned))
     ahead, aside = half[:, :1] * cos + half[:, 1:] * sin, half[:, :1] * sin + half[:, 1:] * cos
     return Leaders(
         tail=along - ahead,
@@ -97,5 +102,5 @@ def _leaders(course: Course, car: Car, foreseen: Foreseen) -> Leaders:
         left=left + aside,
         middle=left,
         reach=np.hypot(*half.T),
-        speed=velocity[..., 0] * np.cos(heading) + velocity[..., 1] * np.sin(heading),
+        speed=speed,
     )
