@@ -10,9 +10,8 @@ import numpy as np
 from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
 from anchorflow_client.sensors import HEADING, KIND, LENGTH, OTHERS_TIMES_S, VX, WIDTH
 from anchorflow_service.bundle.entries import STATUS, GuardEntry
-from anchorflow_service.bundle.manifest import Manifest
+from anchorflow_service.bundle.manifest import OTHERS, Manifest
 from anchorflow_service.engine.along_route import route_of
-from anchorflow_service.engine.futures import OthersFutures
 from anchorflow_service.engine.guard import SCORES, car_of, raster_of
 from anchorflow_service.engine.interfaces import (
     Array,
@@ -74,7 +73,7 @@ class _Told:
 
     @classmethod
     def by(cls, scene: ConditionedScene) -> _Told:
-        others = OthersFutures.others(scene)[0].astype(np.float64)
+        others = scene.inputs((OTHERS,))[OTHERS][0].astype(np.float64)
         there = others[:, -1, KIND] > 0
         others = others[there]
         now, before = others[:, -1], others[:, SECOND_AGO]

@@ -8,7 +8,7 @@ from anchorflow_client.contract.batch import FUTURES
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_client.sensors import KIND, KINDS
 from anchorflow_service.bundle.manifest import OTHERS, Manifest
-from anchorflow_service.engine.interfaces import Array, Arrays, ConditionedScene, Graphs
+from anchorflow_service.engine.interfaces import Arrays, ConditionedScene, Graphs
 
 
 class OthersFutures:
@@ -23,14 +23,6 @@ class OthersFutures:
         """Return whether a request tells who else is there."""
         return OTHERS in scene.request.inputs
 
-    @staticmethod
-    def others(scene: ConditionedScene) -> Array:
-        """Return `others` [B,A,5,8] of a scene. Raises `InvalidRequest` if a kind is unknown."""
-        others = scene.inputs((OTHERS,))[OTHERS]
-        if not np.isin(others[..., KIND], (0, *KINDS)).all():
-            raise InvalidRequest("expected kinds 0, 1, 2 or 3", f"inputs.{OTHERS}")
-        return others
-
     def predict(self, scene: ConditionedScene) -> Arrays:
         """Return the graph's outputs [A, …] of a scene, if its request tells or asks of the others.
 
@@ -39,7 +31,10 @@ class OthersFutures:
         """
         if not (self.told(scene) or {*self.names} & {*scene.request.outputs}):
             return {}
-        inputs, others = scene.inputs(self._graph.input_names), self.others(scene)
+        inputs = scene.inputs(self._graph.input_names)
+        others = inputs[OTHERS]
+        if not np.isin(others[..., KIND], (0, *KINDS)).all():
+            raise InvalidRequest("expected kinds 0, 1, 2 or 3", f"inputs.{OTHERS}")
         used = np.flatnonzero(others[0].any((1, 2)))
         count = int(used[-1]) + 1 if len(used) else 1
         given = self._graphs.run(FUTURES, {**inputs, OTHERS: others[:, :count]})
