@@ -115,6 +115,7 @@ def _ways(opened: Bundle, stack: ExitStack) -> dict[str, Ask]:
         IN_PROCESS: LocalClient(Engine(opened)).plan_request,
         "HTTP binary": over_http(url)(stack),
         "HTTP JSON": over_http(url, OrjsonCodec())(stack),
+        "HTTP JSON, base64": over_http(url, JsonCodec(base64=True))(stack),
         "HTTP JSON, standard library": over_http(url, JsonCodec())(stack),
         "zenoh": stack.enter_context(_client(direct)).plan_request,
         "zenoh by a router": stack.enter_context(_client(router)).plan_request,

@@ -58,7 +58,7 @@ INPUTS = "inputs."
 class OipCodec:
     """Reads and writes the binary form of `POST /anchors` and of zenoh's payloads."""
 
-    content_type = "application/octet-stream"
+    content_type = accept = "application/octet-stream"
 
     def encode_request(self, request: AnchorRequest) -> Payload:
         """Write a request's fields; those left to the card are omitted."""

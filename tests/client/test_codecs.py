@@ -29,7 +29,7 @@ from anchorflow_client import (
 
 FINITE32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 JSON = JsonCodec()
-CODECS = [JSON, OipCodec()]
+CODECS = [JSON, JsonCodec(base64=True), OipCodec()]
 
 
 def assert_same(left: Any, right: Any) -> None:
@@ -280,6 +280,16 @@ def test_routes_are_whole_numbers() -> None:
     assert JSON.decode_answer(answer_in_json(routes=[3, 0])).arrays["routes"].dtype == np.int64
     with pytest.raises(InvalidAnswer, match="expected whole numbers in routes"):
         JSON.decode_answer(answer_in_json(routes=[0.5, 1]))
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [({"base64": "AAAA"}, "trajectories.base64"), ({"shape": [1, 2]}, "expected 8 bytes")],
+)
+def test_bytes_that_are_no_array_are_an_invalid_answer(bad: dict[str, Any], words: str) -> None:
+    whole = {"dtype": "float32", "shape": [1, 2, 2], "base64": "A" * 20 + "==="}
+    with pytest.raises(InvalidAnswer, match=words):
+        JSON.decode_answer(answer_in_json(trajectories=whole | bad))
 
 
 @pytest.mark.parametrize("body", [b"<html>", b"[]", b"{}", b'{"model": 3}', b'{"timing_ms": []}'])

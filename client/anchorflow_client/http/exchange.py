@@ -78,8 +78,8 @@ class Exchanges:
     def plan(self, request: AnchorRequest) -> Exchange[AnchorBatch]:
         """Encode a request for anchors with the codec."""
         payload = self._codec.encode_request(request)
-        form = self._codec.content_type
-        headers = {"Accept": form, **self._authorization, "Content-Type": form}
+        forms = {"Accept": self._codec.accept, "Content-Type": self._codec.content_type}
+        headers = {**forms, **self._authorization}
         if payload.header_length is not None:
             headers["Inference-Header-Content-Length"] = str(payload.header_length)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from fastapi import APIRouter
 from starlette.requests import Request
 from starlette.responses import Response
@@ -19,6 +21,9 @@ from anchorflow_service.planning import Call, PlanningService
 BINARY = OipCodec()
 CODECS: dict[str, Codec] = {codec.content_type: codec for codec in (OrjsonCodec(), BINARY)}
 JSON = OrjsonCodec.content_type
+_ARRAYS = re.compile(r"application/json\s*;(?:[^,]*;)?\s*arrays=([^,;]*)", re.IGNORECASE)
+"""In an Accept header: how JSON writes arrays, by default as lists."""
+JSON_FORMS: dict[str, Codec] = {"": CODECS[JSON], "base64": OrjsonCodec(base64=True)}
 
 
 def anchors_router(service: PlanningService) -> APIRouter:
@@ -27,7 +32,11 @@ def anchors_router(service: PlanningService) -> APIRouter:
 
     @router.post("/anchors", tags=["anchors"], **ANCHORS_DOCUMENTATION)
     async def plan_anchors(request: Request) -> Response:
-        """Anchors over a cost map, or for the inputs that a model's card lists: N a scene."""
+        """Anchors over a cost map, or for the inputs that a model's card lists: N a scene.
+
+        With `Accept: application/json; arrays=base64` every array of the answer is an object of its
+        `dtype`, `shape` and bytes in `base64`, row-major and little-endian.
+        """
         arrival = service.arrival()
         body = await read_body(request, service.limits.max_body_bytes)
         length, codec = header_length(request), _codec_of(request)
@@ -67,4 +76,13 @@ def _codec_of(request: Request) -> Codec:
         served = " or ".join(CODECS)
         message = f"expected a Content-Type of {served}, got {content_type!r}"
         raise InvalidRequest(f"{message}: not supported by this version", "Content-Type")
-    return CODECS[content_type]
+    return CODECS[content_type] if content_type != JSON else _json_of(request)
+
+
+def _json_of(request: Request) -> Codec:
+    """Return the codec of JSON whose arrays have the form that the Accept header asks for."""
+    found = _ARRAYS.search(request.headers.get("accept", ""))
+    asked = found[1].strip().lower() if found else ""
+    if asked not in JSON_FORMS:
+        raise InvalidRequest(f"expected {JSON}; arrays=base64, got arrays={asked[:40]}", "Accept")
+    return JSON_FORMS[asked]

@@ -18,7 +18,7 @@ from PIL.JpegImagePlugin import JpegImageFile
 from PIL.PngImagePlugin import PngImageFile
 
 from anchorflow_client import codec as json_codec
-from anchorflow_client.codec import JsonCodec, Payload, not_json
+from anchorflow_client.codec import JsonCodec, Payload, as_bytes, not_json
 from anchorflow_client.contract import AnchorRequest, EncodedImage
 from anchorflow_client.contract.checks import bytes_of_base64
 from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
@@ -52,7 +52,7 @@ class OrjsonCodec(JsonCodec):
         return with_pixels(AnchorRequest.from_fields(with_map(self._load(payload.body))))
 
     def _dump(self, value: dict[str, Any]) -> bytes:
-        return dump(value)
+        return orjson.dumps(value, default=as_bytes) if self._base64 else dump(value)
 
     def _load(self, body: bytes) -> Any:
         return parse(body)

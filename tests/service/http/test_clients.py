@@ -33,6 +33,7 @@ PATIENCE_S = 20
 CLIENTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "http": (AnchorClient, {}),
     "http json": (AnchorClient, {"codec": JsonCodec()}),
+    "http json of bytes": (AnchorClient, {"codec": JsonCodec(base64=True)}),
     "async http": (AsyncAnchorClient, {}),
     "async http json": (AsyncAnchorClient, {"codec": JsonCodec()}),
     "zenoh": (ZenohAnchorClient, {}),

@@ -103,6 +103,18 @@ def test_another_form_than_json_is_refused(service: Any, content_type: str) -> N
     assert "application/json" in error["message"]
 
 
+def test_another_form_of_arrays_than_base64_is_refused(
+    service: Any, fields: dict[str, Any]
+) -> None:
+    headers = {"Accept": "text/html, application/json; arrays=hex"}
+
+    content = json.dumps(fields).encode()
+    answer = service.request("POST", "/anchors", headers=headers, content=content)
+    error = refusal(answer, 422, "invalid_request")
+    assert error["field"] == "Accept"
+    assert "expected application/json; arrays=base64, got arrays=hex" in error["message"]
+
+
 @pytest.mark.parametrize("path", ["/anchors", "/v2/models/lines/infer"])
 def test_a_body_that_would_have_to_be_unpacked_is_refused(service: Any, path: str) -> None:
     answer = service.request("POST", path, headers={"Content-Encoding": "gzip"}, content=b"\x1f")

@@ -146,6 +146,7 @@ class HeldCodec(JsonCodec):
     """Reads long bodies once it may."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.reached, self.opened = threading.Event(), threading.Event()
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
