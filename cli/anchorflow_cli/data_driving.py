@@ -24,7 +24,7 @@ from anchorflow_driving.log import DrivingLog, read_log, write_log
 from anchorflow_driving.recorded_sensors import read_sensors
 from anchorflow_driving.simulation import LogConfig
 from anchorflow_training.driving.anchors import anchor_scores, examples_of, trajectory_anchors
-from anchorflow_training.driving.driving_run import SensorRunConfig
+from anchorflow_training.driving.driving_run import SightRunConfig
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.planners import training_of
@@ -256,12 +256,12 @@ def sensors(
     You can stop and restart it; `anchorflow train` draws what is missing.
     """
     kind = training_of(None, config).config
-    if not issubclass(kind, SensorRunConfig):
+    run = layers(kind, {}, config)
+    if not isinstance(run, SightRunConfig) or run.sight is None:
         raise ConfigError(
             f"{config}: planner: expected one that sees by camera and LiDAR, got {kind.planner!r}"
         )
-    run: Any = layers(kind, {}, config)
-    sizes = SensorSizes.of(run.model.backbone)
+    sizes = SensorSizes.of(run.sight)
     paths = open_logs(logs)
     if any(read_sensors(path) is None for path in paths):
         with needs_extra("driving", who="anchorflow data sensors"):

@@ -15,7 +15,7 @@ from torch import nn
 from anchorflow_models.diffusiondrive import DiffusionDriveConfig, create_diffusiondrive
 from anchorflow_models.flowmp import L2Config, create_l2_safety_cfm
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
-from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow import GoalFlowConfig, create_goalflow
 from anchorflow_models.v2x_vlm import V2XConfig, create_v2x_vlm
 from anchorflow_models.wote import WoteConfig, create_wote
 
@@ -37,7 +37,7 @@ PLANNERS: Mapping[str, Planner] = {
     planner.name: planner
     for planner in (
         Planner("flowmp", L2Config, create_l2_safety_cfm),
-        Planner("goalflow", GoalFlowConfig, GoalFlow),
+        Planner("goalflow", GoalFlowConfig, create_goalflow),
         Planner("wote", WoteConfig, create_wote),
         Planner("diffusiondrive", DiffusionDriveConfig, create_diffusiondrive),
         Planner("v2x_vlm", V2XConfig, create_v2x_vlm),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from small_configs import BACKBONE, DIFFUSIONDRIVE, EXAMPLES
+from small_configs import BACKBONE, DIFFUSIONDRIVE, EXAMPLES, GOALFLOW
 
 from anchorflow_models.registry import PLANNERS
 from anchorflow_training.planners import TRAININGS
@@ -33,5 +33,5 @@ def test_a_published_configuration_builds_a_network_of_its_size(
     assert f"{millions} million" in (DOCS / f"{planner}.md").read_text()
 
 
-def test_both_see_alike() -> None:
-    assert DIFFUSIONDRIVE.backbone == BACKBONE
+def test_all_that_see_do_so_alike() -> None:
+    assert DIFFUSIONDRIVE.backbone == BACKBONE == GOALFLOW.transfuser

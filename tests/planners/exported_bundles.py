@@ -35,7 +35,7 @@ from anchorflow_export.parity import Difference
 from anchorflow_export.planners import adapter_of
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
-from anchorflow_models.goalflow import BevLayout, GoalFlow, GoalFlowConfig, ways
+from anchorflow_models.goalflow import BevLayout, GoalFlowConfig, create_goalflow, ways
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_trajectory.motion import MotionLimits
 
@@ -64,6 +64,15 @@ GOALFLOW = GoalFlowConfig(
     feature_channels=4,
     layers=1,
     outcomes=True,
+)
+# The same on sensors; the raster that they are to show is small, too.
+SENSING = replace(
+    GOALFLOW,
+    bev=BevLayout(rows=32, columns=16, extent=(-8.0, 24.0, -8.0, 8.0)),
+    outcomes=False,
+    sensors=True,
+    ground_sight=True,
+    transfuser=DIFFUSION.backbone,
 )
 # Of two sweeps of the LiDAR; its rollout is unrolled too.
 WOTE = replace(
@@ -97,11 +106,11 @@ def untaught(**options: Any) -> nn.Module:
     return model
 
 
-def small_goalflow() -> nn.Module:
-    """A GoalFlow whose scores are the rules' and the learnt outcomes'."""
+def small_goalflow(config: GoalFlowConfig = GOALFLOW) -> nn.Module:
+    """A GoalFlow whose scores are the rules' and, of features, the learnt outcomes'."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        model = GoalFlow(GOALFLOW).eval()
+        model = create_goalflow(config).eval()
         with torch.no_grad():
             for parameter in model.parameters():
                 parameter.add_(0.05 * torch.randn(parameter.shape))
@@ -114,6 +123,7 @@ NETWORKS: dict[str, Callable[[], Any]] = {
         backbone="unet", num_steps=45, map_attention=True, map_lookup=False, map_scales=2
     ),
     "goalflow": small_goalflow,
+    "goalflow-sensors": lambda: small_goalflow(SENSING),
     "wote": lambda: tiny_wote.tiny_wote(WOTE),
     "diffusiondrive": lambda: tiny_diffusiondrive(DIFFUSION),
     "v2x_vlm": lambda: small_v2x(pooled_columns=2),

@@ -399,6 +399,7 @@ NOT_RUN = {
     r"anchorflow data (make|drive|anchors|sensors) ": "draws scenes for a quarter of an hour",
     r"anchorflow data (descriptions|pairs) RECORDING ": "needs Florence-2; a test makes a tiny one",
     r"anchorflow data import-log ": "needs a published recording; its test makes one",
+    rf"anchorflow checkpoint {SHIPPED}/": "takes as long as an export; tests/export reads less",
     rf"anchorflow serve --bundle {SHIPPED}/": "as WoTE's, which runs; other tests open them",
     r"anchorflow (export|serve) .*bundles/|cp data/drive": "needs the training above it",
     r"python docs/page_samples.py": "writes into the package; a test reads what it wrote",

@@ -23,6 +23,7 @@ from anchorflow_export.planners.random_requests import (
     GUARD_HORIZON_S,
     ROUTE,
     STATUS_UNIT,
+    sensor_inputs,
     street_request,
 )
 from anchorflow_export.tracing import ExportError
@@ -86,13 +87,21 @@ def bev_spec(layout: BevLayout) -> TensorSpec:
     return TensorSpec("bev", layout.dtype, shape, extent=layout.extent)
 
 
+def _seen(config: GoalFlowConfig) -> tuple[TensorSpec, ...]:
+    """Return the specs of what a request shows, and of how the ego moves."""
+    if not config.sensors:
+        return bev_spec(config.bev), STATUS
+    specs = sensor_inputs(config.transfuser)
+    return tuple(STATUS if spec.name == STATUS.name else spec for spec in specs)
+
+
 def goalflow_adapter(model: GoalFlow, choices: ExportChoices) -> PlannerAdapter:
     """Adapt a copy of a trained network, whose noise gets the spread of the choices."""
     model = deepcopy(model)
     model.noise_scale, model.takes_goals = choices.noise_scale, choices.goal_inputs
     model.config = config = _scored_by(model.config, choices.score)
     sampler, more = choices.sampler.over(DEFAULT_SAMPLER), OF_A_REQUEST * choices.goal_inputs
-    inputs = (bev_spec(config.bev), STATUS, SIZE, ROUTE, *more)
+    inputs = (*_seen(config), SIZE, ROUTE, *more)
     names = tuple(spec.name for spec in inputs)
     told = ("weights",) if more else ()
     aims = TensorSpec("trajectory_goals", F32, ("B", "N", 2), "m")

@@ -31,6 +31,7 @@ from anchorflow_models.transfuser import (
 from anchorflow_service.bundle.entries import AgentsEntry, GuardEntry, RasterEntry
 
 CELLS_A_BLOB = 40  # cells of a map for each square obstacle
+SENSED = ("camera", "lidar")
 COMMANDS = MOTION.start  # of the ego status
 GUARD_HORIZON_S = 1.5
 NUPLAN_CAR = (5.176, 2.297)  # m, length and width of the car whose sensors these planners take
@@ -154,21 +155,26 @@ def sensor_request(card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
 
 def street_request(layout: BevLayout, card: ModelCard, sizes: Sizes, seed: int) -> AnchorRequest:
     """Return a request for cars in straight streets of any width, with blocks beside them; for a
-    layout of features, in random ones.
+    layout of features, in random ones; for sensors, with random pictures and sweeps.
     """
     generator, B = torch.Generator().manual_seed(seed), sizes["B"]
-    drawn = layout.dtype == "uint8"
-    bev = (_streets if drawn else _features)(layout, B, generator)
+    specs = {spec.name: spec for spec in card.inputs}
+    if "bev" in specs:
+        drawn = layout.dtype == "uint8"
+        seen = {"bev": (_streets if drawn else _features)(layout, B, generator)}
+    else:
+        names = [name for name in (*SENSED, LIDAR_BEFORE) if name in specs]
+        seen = {name: random_tensor(specs[name], sizes, generator=generator) for name in names}
     speed = FASTEST * torch.rand(B, 1, generator=generator)
     pulls = SHARPEST * (2 * torch.rand(B, 2, generator=generator) - 1)
     motion = torch.cat([_commands(B, generator), speed, torch.zeros(B, 1), pulls], -1)
     inputs = {
-        "bev": bev,
+        **seen,
         "ego_status": motion,
         "vehicle_size": 2 + 3 * torch.rand(B, 2, generator=generator),
         "route": _routes(B, generator),
     }
-    own = {spec.name: spec for spec in card.inputs if spec.name not in inputs}
+    own = {name: spec for name, spec in specs.items() if name not in inputs}
     told = (torch.arange(B) < max(1, B - 1))[:, None]  # the last of several scenes has none
     if "goal" in own:
         goals = torch.rand(B, sizes.get("G", 3), 2, generator=generator)

@@ -1,4 +1,4 @@
-"""GoalFlow: a car's trajectories, drawn to goals on a raster of what is around it."""
+"""GoalFlow: a car's trajectories, drawn to goals on what a raster, or sensors, show around it."""
 
 from anchorflow_models.goalflow.config import (
     BevLayout as BevLayout,
@@ -6,3 +6,7 @@ from anchorflow_models.goalflow.config import (
     ScoreWeights as ScoreWeights,
 )
 from anchorflow_models.goalflow.goalflow import GoalFlow as GoalFlow
+from anchorflow_models.goalflow.sensors import (
+    SensorGoalFlow as SensorGoalFlow,
+    create_goalflow as create_goalflow,
+)

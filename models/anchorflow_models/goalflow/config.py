@@ -6,11 +6,15 @@ from dataclasses import dataclass, field
 
 from anchorflow_models.checks import check
 from anchorflow_models.layers.blocks import GROUPS
+from anchorflow_models.transfuser import GROUND_WIDTH, TransfuserConfig
 
 BACKBONES = ("mlp", "transformer")
 RASTERS = ("uint8", "float32")
 STRIDES = 16
 """Cells of the raster a side of the coarsest cell of the features."""
+STRIDE, SENSED_STRIDE = 4, 2
+"""Cells a side of a cell of the features: of the raster, and of what sensors show, whose cells are
+twice as large."""
 HALTINGS = (1.5, 3.0, 5.0)
 """m/s² by which the halts brake: ways to no goal, which are driven without a change."""
 TURNS = ((0.1, 5.0), (0.2, 5.0), (0.2, 2.5))
@@ -110,6 +114,9 @@ class GoalFlowConfig:
     channels: of the scene encoder's first level; context: numbers of a scene as a whole
     scorer_width, outcome_width: of the networks that score goals, and trajectories
     feature_channels: that poses look up at their places
+    bev: the raster; with sensors the one that they are to show, and that training draws
+    sensors: whether a Transfuser backbone looks at cameras and LiDAR in place of the raster
+    transfuser: this backbone, of sensors; ground_sight: as of WoTE, with sensors
 
     Raises:
         ValueError: a field is out of its range; the message names it, what was expected and got.
@@ -133,6 +140,9 @@ class GoalFlowConfig:
     feature_channels: int = 24
     bev: BevLayout = field(default_factory=BevLayout)
     score: ScoreWeights = field(default_factory=ScoreWeights, metadata={"free": True})
+    sensors: bool = False
+    ground_sight: bool = False
+    transfuser: TransfuserConfig = field(default_factory=TransfuserConfig)
 
     def __post_init__(self) -> None:
         known = f"one of {', '.join(BACKBONES)}"
@@ -153,6 +163,24 @@ class GoalFlowConfig:
             *((n, side, side >= 1, "at least 1") for n, side in sides.items()),
         ):
             check(name, fits, what, got)
+        self._check_sensors()
+
+    def _check_sensors(self) -> None:
+        alone = self.sensors or not self.ground_sight
+        check("ground_sight", alone, "false without sensors", self.ground_sight)
+        if self.sensors:
+            drawn = self.bev.dtype == "uint8" and self.bev.padding == (0, 0)
+            whole = f"uint8 of sides that are multiples of {STRIDES}, with sensors"
+            check("bev", drawn, whole, (self.bev.dtype, self.bev.rows, self.bev.columns))
+
+    @property
+    def seen(self) -> tuple[int, int, int]:
+        """Channels, rows and columns of what the scene's encoder takes."""
+        if not self.sensors:
+            return self.bev.channels, self.bev.rows, self.bev.columns
+        channels = self.transfuser.bev_channels + GROUND_WIDTH * self.ground_sight
+        cell = STRIDE // SENSED_STRIDE
+        return channels, self.bev.rows // cell, self.bev.columns // cell
 
     @property
     def ways(self) -> int:

@@ -19,7 +19,14 @@ import torch
 from torch import Tensor, nn
 
 from anchorflow_client.sensors import ROUTE_POINTS
-from anchorflow_models.goalflow.config import HALTINGS, TURNS, GoalFlowConfig, ScoreWeights
+from anchorflow_models.goalflow.config import (
+    HALTINGS,
+    SENSED_STRIDE,
+    STRIDE,
+    TURNS,
+    GoalFlowConfig,
+    ScoreWeights,
+)
 from anchorflow_models.goalflow.networks import (
     FIELDS,
     VELOCITY,
@@ -98,7 +105,8 @@ class GoalFlow(nn.Module):
         self.config = config
         features, steps, context = config.feature_channels, config.num_steps, config.context
         self.scene = SceneEncoder(
-            inputs=config.bev.channels,
+            inputs=config.seen[0],
+            stride=SENSED_STRIDE if config.sensors else STRIDE,
             channels=config.channels,
             features=features,
             context=context,
@@ -142,8 +150,18 @@ class GoalFlow(nn.Module):
         route; prior_basis [B, 3T, T·S]; and the inputs of the other graphs.
         """
         context = self.look(bev, ego_status, vehicle_size, route)
+        return self.with_ways(context, ego_status, goal, score_weights)
+
+    def with_ways(
+        self,
+        context: Context,
+        ego_status: Tensor,
+        goal: Tensor | None = None,
+        score_weights: Tensor | None = None,
+    ) -> Context:
+        """Return what `look` gave with all that `encode` returns."""
         speed, bend = context["speed"], context["curvature"]
-        ways = self.ways_to(self.vocabulary.expand(bev.shape[0], -1, -1), speed)
+        ways = self.ways_to(self.vocabulary.expand(speed.shape[0], -1, -1), speed)
         rated = self.rate(ways[..., :POSE], context)
         scores = rated.drivable.sigmoid() * rated.distance.sigmoid()  # delta_dac · delta_dis
         order = self.order(scores)
@@ -175,10 +193,21 @@ class GoalFlow(nn.Module):
         self, bev: Tensor, ego_status: Tensor, vehicle_size: Tensor, route: Tensor | None = None
     ) -> Context:
         """Return the features of a scene, and the route."""
-        untold = torch.zeros(bev.shape[0], ROUTE_POINTS, 2, device=bev.device)
         cells = self.cells(bev)
+        return self.seen(cells, self.surfaces(cells), ego_status, vehicle_size, route)
+
+    def seen(
+        self,
+        cells: Tensor,
+        surfaces: tuple[Tensor, Tensor],
+        ego_status: Tensor,
+        vehicle_size: Tensor,
+        route: Tensor | None,
+    ) -> Context:
+        """Return the features of cells [B, C, H, W] with what `surfaces` says of them."""
+        untold = torch.zeros(cells.shape[0], ROUTE_POINTS, 2, device=cells.device)
         features, context = self.scene(cells, ego_status, vehicle_size)
-        drivable, occupied = self.surfaces(cells)
+        drivable, occupied = surfaces
         return {
             "features": features,
             "context": context,

@@ -20,7 +20,6 @@ from anchorflow_models.layers.places import GaussianFourierTime, lookup, sinusoi
 from anchorflow_models.transfuser import STATUS
 
 Extent = tuple[float, float, float, float]
-STRIDE = 4  # cells of the raster a side of a cell of the features
 VELOCITY = 4  # in the ego status, the first of two
 X_UNIT, Y_UNIT = 40.0, 20.0
 """m, scales of places for the networks."""
@@ -60,12 +59,17 @@ def at_times(layers: Tensor, places: Tensor, layer: Tensor, extent: Extent) -> T
 
 
 class SceneEncoder(nn.Module):
-    """A small feature pyramid over the raster: strides 4, 8 and 16, and back up to 4."""
+    """A small feature pyramid over the raster: strides 4, 8 and 16, and back up to 4.
 
-    def __init__(self, *, inputs: int, channels: int, features: int, context: int) -> None:
+    stride: cells of the inputs a side of a cell of the first level
+    """
+
+    def __init__(
+        self, *, inputs: int, stride: int, channels: int, features: int, context: int
+    ) -> None:
         super().__init__()
         fine, middle, coarse = channels, 2 * channels, 3 * channels
-        self.stem = nn.Conv2d(inputs, fine, STRIDE, stride=STRIDE)
+        self.stem = nn.Conv2d(inputs, fine, stride, stride=stride)
         self.middle = nn.Conv2d(fine, middle, 3, stride=2, padding=1)
         self.coarse = nn.Conv2d(middle, coarse, 3, stride=2, padding=1)
         self.blocks = nn.ModuleList(ResidualBlock(width) for width in (middle, coarse))
@@ -78,9 +82,9 @@ class SceneEncoder(nn.Module):
         )
 
     def forward(self, bev: Tensor, status: Tensor, size: Tensor) -> tuple[Tensor, Tensor]:
-        """bev [B, C, H, W] from 0 to 1; status [B, 8]; size [B, 2] of the ego, m.
+        """bev [B, C, H, W] from 0 to 1, or features; status [B, 8]; size [B, 2] of the ego, m.
 
-        Returns features [B, H/4, W/4, F] and context [B, E].
+        Returns features [B, H/stride, W/stride, F] and context [B, E].
         """
         fine = F.silu(self.stem(bev))
         middle = self.blocks[0](self.middle(fine))

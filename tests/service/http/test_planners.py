@@ -1,7 +1,7 @@
 """What every planner without a cost map promises, whatever carries its requests.
 
-A camera planner worked out by hand, the GoalFlow that ships and a small WoTE, over JSON, binary and
-zenoh.
+A camera planner worked out by hand, the GoalFlow that ships, a small one on sensors and a small
+WoTE, over JSON, binary and zenoh.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import torch
 from driven_bend import bend
-from exported_bundles import WOTE, export_once
+from exported_bundles import SENSING, WOTE, export_once
 from image_planner import HEIGHT, WIDTH, K, expected, write_image_bundle
 from served import TRANSPORTS, client_over
 from tiny_wote import sensors, tiny_wote
@@ -31,6 +31,7 @@ from anchorflow_driving.sensors.bev import draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes
+from anchorflow_export.planners.random_requests import street_request
 from anchorflow_models.goalflow import GoalFlowConfig
 from anchorflow_service.bundle import DEFAULT_BUNDLE, BundleError, load_bundle
 from anchorflow_service.engine.samplers import SAMPLERS
@@ -112,7 +113,25 @@ def wote_planner(_: pytest.TempPathFactory) -> Planner:
     return Planner(made.path, wote_scene, extras, "vocabulary", WOTE.num_steps, "guard", optional)
 
 
-PLANNERS = {"camera": camera_planner, "goalflow": goalflow_planner, "wote": wote_planner}
+def sensing_planner(_: pytest.TempPathFactory) -> Planner:
+    made = export_once("goalflow-sensors")
+    card = load_bundle(made.path).card
+    asked = street_request(SENSING.bev, card, {"B": 4}, 0).inputs
+
+    def scene(scene: int) -> Inputs:
+        return {name: np.asarray(array)[scene] for name, array in asked.items() if name != "route"}
+
+    extras, optional = ("goals", "goal_scores"), ("lidar_before", "route")
+    options = {"num_samples": 12, "seed": 3, "sampler": {"schedule": {"uniform": 3}}}
+    return Planner(made.path, scene, extras, "ode", SENSING.num_steps, "guard", optional, options)
+
+
+PLANNERS = {
+    "camera": camera_planner,
+    "goalflow": goalflow_planner,
+    "goalflow-sensors": sensing_planner,
+    "wote": wote_planner,
+}
 
 
 @pytest.fixture(scope="module")
@@ -296,7 +315,7 @@ def test_what_a_vocabulary_has_no_use_for_is_refused(
     assert str(caught.value.field).split(".")[0] == next(iter(fields))
 
 
-@of("goalflow", "wote")
+@of("goalflow", "goalflow-sensors", "wote")
 def test_the_guard_is_answered_alike(planner: Planner, client: BaseClient) -> None:
     asked: dict[str, Any] = planner.all | {"refine": {"guard": True}}
     answer = client.plan(**asked)

@@ -43,13 +43,14 @@ class DrawnWindows:
     """B windows as they are learnt from.
 
     bev: [B, C, H, W], not yet moved; moved: [B, 3] x, y, heading of the start in the frame of
-        what was drawn
+        what was drawn; mirrored: [B] whether left is right
     status: [B, 8]; size: [B, 2]; course: [B, P, 2], from the start as it was moved
     targets: [B, N, T, 3] poses; the first N / 2 as it was driven, the others re-timed
     """
 
     bev: NDArray[Any]
     moved: NDArray[np.float32]
+    mirrored: NDArray[np.bool_]
     status: NDArray[np.float32]
     size: NDArray[np.float32]
     course: NDArray[np.float32]
@@ -68,7 +69,8 @@ def draw(
     bev = windows.rasters(chosen)
     status, course = (getattr(windows, name)[chosen].astype(float) for name in ("status", "course"))
     along = windows.along[chosen].astype(float)
-    for i in np.flatnonzero(rng.random(len(chosen)) < config.mirror):
+    mirrored = rng.random(len(chosen)) < config.mirror
+    for i in np.flatnonzero(mirrored):
         mirror(bev[i], status[i], course[i])
     speed, faster = status[:, 4], 1 + config.speed * rng.standard_normal(len(chosen))
     along = rejoined(along, speed * (faster - 1), windows.times)
@@ -91,6 +93,7 @@ def draw(
     return DrawnWindows(
         bev=bev,
         moved=moved.astype(np.float32),
+        mirrored=mirrored,
         status=status.astype(np.float32),
         size=windows.size[chosen],
         course=course.astype(np.float32),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from anchorflow_driving.recorded_sensors import kinds_of, read_sensors
-from anchorflow_models.transfuser import LIDAR_BEFORE
+from anchorflow_models.transfuser import LIDAR_BEFORE, TransfuserConfig
 from anchorflow_training.batches import (
     SIGNS,
     Batch,
@@ -97,17 +97,11 @@ def means(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class SensorRunConfig(RunConfig):
-    """A run that learns from camera, LiDAR and ego status, and begins with anchors."""
+class SightRunConfig(RunConfig):
+    """A run of a planner that sees by camera and LiDAR, or may."""
 
-    begins_with: ClassVar = ("anchors", "resnet")
+    begins_with: ClassVar = ("resnet",)
 
-    learning_rate: float = other_default(RunConfig, "learning_rate", 3e-4)
-    batch: MirroredBatchConfig = field(default_factory=lambda: MirroredBatchConfig(scenes=8))
-    evaluation: HeldOutConfig = field(default_factory=HeldOutConfig)
-    anchors: str | None = setting(
-        None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
-    )
     resnet: str | None = setting(None, "Folder of ResNet weights to begin with.")
     lidar_before_lost: float = setting(
         0.1, "Share of the batches without the LiDAR of before.", ge=0, le=1
@@ -117,25 +111,37 @@ class SensorRunConfig(RunConfig):
     )
     frozen_perception: bool = setting(False, "Keep these parts as they begin: they do not learn.")
     sensor_noise: float = setting(0.0, "On pictures and sweeps; 1 is strong, 0 is none.", ge=0)
+    loaders: int = setting(1, "Threads that prepare batches ahead.", ge=1)
+
+    @property
+    def sight(self) -> TransfuserConfig | None:
+        """The backbone that sees, if the planner has one."""
+        return self.model.backbone
+
+
+@dataclass(frozen=True)
+class SensorRunConfig(SightRunConfig):
+    """A run that learns from camera, LiDAR and ego status, and begins with anchors."""
+
+    begins_with: ClassVar = ("anchors", *SightRunConfig.begins_with)
+
+    learning_rate: float = other_default(RunConfig, "learning_rate", 3e-4)
+    batch: MirroredBatchConfig = field(default_factory=lambda: MirroredBatchConfig(scenes=8))
+    evaluation: HeldOutConfig = field(default_factory=HeldOutConfig)
+    anchors: str | None = setting(
+        None, "File of anchors [K, T, 3] (.npy) instead of clustered ones."
+    )
     judges: int = setting(
         0, "Processes that score what the network proposes; 0: the run's own.", ge=0
     )
-    loaders: int = setting(1, "Threads that prepare batches ahead.", ge=1)
 
 
-class SensorRun(DrivingRun):
-    """A run on windows with sensors; its config is a `SensorRunConfig` with a `model`."""
+class SightRun(DrivingRun):
+    """A run of a planner with parts that see, if it has them; its config is a `SightRunConfig`."""
 
-    def __init__(self, config: Any, logs: Sequence[Path], out: Path) -> None:
-        self.logs, self.loaders = logs, config.loaders
-        check_fixed(config.model, self.model_settings(logs), by="the logs")
-        windows = open_sensor_windows(logs, SensorSizes.of(config.model.backbone))
-        super().__init__(config, windows, out, of="the windows of the logs")
-
-    @property
-    def data(self) -> dict[str, Any]:
-        sensors = kinds_of(map(read_sensors, self.logs))
-        return {"windows": self.count, "logs": len(self.logs), "sensors": sensors}
+    def __init__(self, config: Any, windows: Any, out: Path, *, of: str) -> None:
+        self.loaders = config.loaders
+        super().__init__(config, windows, out, of=of)
 
     def _new_model(self) -> Any:
         model = super()._new_model()
@@ -149,6 +155,40 @@ class SensorRun(DrivingRun):
         """Load those weights, and over them another planner's perception, if one is named."""
         super().begin_after(model, weights)
         self._load_perception(model)
+
+    def load_sight(self, model: nn.Module) -> None:
+        """Load the configured weights of perception, if there are any."""
+        if self.config.resnet:
+            load_resnet(sight_of(model)[BACKBONE], Path(self.config.resnet))
+        self._load_perception(model)
+
+    def _load_perception(self, model: nn.Module) -> None:
+        """Load the configured perception, and measure statistics that weights may lack."""
+        if self.config.perception:
+            load_sight(sight_of(model), Path(self.config.perception))
+        measure_normalisation(model, map(self.batch, range(MEASURED)))
+
+    def spoil(self, batch: Batch, rng: np.random.Generator, *, luck: float) -> None:
+        """Lose the LiDAR of before if luck, in [0, 1), is low, and add the configured noise."""
+        if luck < self.config.lidar_before_lost:
+            batch.pop(LIDAR_BEFORE, None)
+        if self.config.sensor_noise:
+            disturb(batch, rng, scale=self.config.sensor_noise)
+
+
+class SensorRun(SightRun):
+    """A run on windows with sensors; its config is a `SensorRunConfig` with a `model`."""
+
+    def __init__(self, config: Any, logs: Sequence[Path], out: Path) -> None:
+        self.logs = logs
+        check_fixed(config.model, self.model_settings(logs), by="the logs")
+        windows = open_sensor_windows(logs, SensorSizes.of(config.model.backbone))
+        super().__init__(config, windows, out, of="the windows of the logs")
+
+    @property
+    def data(self) -> dict[str, Any]:
+        sensors = kinds_of(map(read_sensors, self.logs))
+        return {"windows": self.count, "logs": len(self.logs), "sensors": sensors}
 
     @cached_property
     def judge(self) -> PdmJudge:
@@ -178,10 +218,7 @@ class SensorRun(DrivingRun):
         luck = rng.random(2)
         mirrored = sizes.mirror and bool(luck[0] < 0.5)
         batch = self.window_batch(batch_scenes(self.count, sizes, index), mirrored=mirrored)
-        if luck[1] < self.config.lidar_before_lost:
-            batch.pop(LIDAR_BEFORE, None)
-        if self.config.sensor_noise:
-            disturb(batch, rng, scale=self.config.sensor_noise)
+        self.spoil(batch, rng, luck=luck[1])
         return batch
 
     def judged(self, model: Any, window: int) -> Row:
@@ -207,15 +244,3 @@ class SensorRun(DrivingRun):
         return torch.from_numpy(
             trajectory_anchors(examples, count=count, seed=self.config.batch.seed)
         )
-
-    def load_sight(self, model: nn.Module) -> None:
-        """Load the configured weights of perception, if there are any."""
-        if self.config.resnet:
-            load_resnet(sight_of(model)[BACKBONE], Path(self.config.resnet))
-        self._load_perception(model)
-
-    def _load_perception(self, model: nn.Module) -> None:
-        """Load the configured perception, and measure statistics that weights may lack."""
-        if self.config.perception:
-            load_sight(sight_of(model), Path(self.config.perception))
-        measure_normalisation(model, map(self.batch, range(MEASURED)))

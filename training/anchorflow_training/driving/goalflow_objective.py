@@ -12,10 +12,12 @@ from torch.nn import functional as F
 
 from anchorflow_driving.pdm import SUB_SCORES
 from anchorflow_models.flow_matching import interpolate
-from anchorflow_models.goalflow import GoalFlow
+from anchorflow_models.goalflow import GoalFlow, SensorGoalFlow
+from anchorflow_models.goalflow.config import SENSED_STRIDE, STRIDE
 from anchorflow_models.goalflow.goalflow import POSE
 from anchorflow_models.goalflow.networks import at_places
 from anchorflow_models.goalflow.trajectory_score import FRONT, LEARNT, REAR, body_places
+from anchorflow_training.driving.sensor_windows import sensors_of
 from anchorflow_training.settings import setting
 
 CLEAR = 0.5  # share of a cell that is drivable where its middle is
@@ -33,6 +35,9 @@ class GoalFlowObjectiveConfig:
     )
     goal_weight: float = setting(1.0, "Of the goals' scores.", ge=0)
     flow_weight: float = setting(10.0, "Of the flow.", ge=0)
+    surface_weight: float = setting(
+        1.0, "Of the road and the others that sensors show, by the raster.", ge=0
+    )
     flow_time: Literal["uniform", "middle"] = setting(
         "uniform", "How flow times are drawn; middle: sigmoid of a Gaussian."
     )
@@ -75,19 +80,35 @@ class GoalFlowObjective(nn.Module):
     def forward(
         self, batch: Mapping[str, Tensor], noise: Tensor, t: Tensor, jitter: Tensor, chance: Tensor
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        model, targets = self.model, batch["targets"]
-        bev = self.moved(batch["bev"], batch["moved"])
-        context = model.look(bev, batch["status"], batch["size"])
+        targets = batch["targets"]
+        context, seen = self._look(batch)
         flow, expected = self._flow(batch, context, noise, t, jitter)
         goals = self._goals(batch, context, chance, expected.detach())
         terms = {"flow": flow, **goals}
         loss = (
             self.config.flow_weight * flow
             + self.config.goal_weight * torch.stack([*goals.values()]).sum()
+            + self.config.surface_weight * sum(seen.values())
         )
         with torch.no_grad():
             miss = (expected - targets)[..., :2].square().sum(-1).sqrt()
-        return loss, {**terms, "displacement_m": miss.mean()}
+        return loss, {**terms, **seen, "displacement_m": miss.mean()}
+
+    def _look(self, batch: Mapping[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Return the context, with the road of the raster, and what is learnt of surfaces."""
+        model, size = self.model, batch["size"]
+        bev = self.moved(batch["bev"], batch["moved"])
+        if not isinstance(model, SensorGoalFlow):
+            return model.look(bev, batch["status"], size), {}
+        context = model.look(**sensors_of(batch), vehicle_size=size)
+        drivable, occupied = model.surfaces(model.cells(bev))
+        drawn = torch.cat([drivable.permute(0, 3, 1, 2), occupied], 1)
+        shares = F.avg_pool2d(drawn, STRIDE // SENSED_STRIDE)
+        told = F.binary_cross_entropy_with_logits(
+            context["surface_logits"], shares, reduction="none"
+        ).mean((0, 2, 3))
+        terms = {"road": told[0], "others": told[1:].mean()}
+        return context | {"drivable": drivable}, terms
 
     def moved(self, bev: Tensor, moved: Tensor) -> Tensor:
         """Rasters [B, C, H, W] seen from starts [B, 3] (x, y, heading) in the frame of each."""

@@ -12,8 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from anchorflow_driving.recorded_sensors import kinds_of, read_sensors
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goalflow import POSE
+from anchorflow_models.transfuser import TransfuserConfig
 from anchorflow_training.batches import (
     Batch,
     SampledBatchConfig,
@@ -30,7 +32,7 @@ from anchorflow_training.driving.augmentation import (
     poses_on,
     retimed,
 )
-from anchorflow_training.driving.driving_run import DrivingRun
+from anchorflow_training.driving.driving_run import SightRun, SightRunConfig
 from anchorflow_training.driving.feature_windows import (
     FeatureWindows,
     has_features,
@@ -43,12 +45,20 @@ from anchorflow_training.driving.goalflow_objective import (
 )
 from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon, open_logs
 from anchorflow_training.driving.proposals import proposals
+from anchorflow_training.driving.sensor_windows import (
+    SensorSizes,
+    SensorWindows,
+    open_sensor_windows,
+    sensors_of,
+)
 from anchorflow_training.driving.windows import DrivingWindows, open_windows
 from anchorflow_training.record import Row
 from anchorflow_training.settings import ConfigError, check_fixed, other_default, setting
 
 Windows = DrivingWindows | FeatureWindows
 
+OF_SIGHT = ("resnet", "perception", "frozen_perception", "sensor_noise")
+"""Settings that only a planner with sensors has a use for."""
 RETIMED_SHARE = 1  # ends of re-timed targets to one of the record, in the vocabulary
 TOP, NEAR_M, MOVING_M = 5, 3.0, 2.0
 """A success: the recorded end, if MOVING_M away, is within NEAR_M of one of the TOP goals."""
@@ -60,11 +70,11 @@ def open_goalflow(folder: Path) -> Windows:
 
 
 @dataclass(frozen=True)
-class GoalFlowRunConfig(RunConfig):
+class GoalFlowRunConfig(SightRunConfig):
     """A run that learns GoalFlow from driving logs."""
 
     planner: ClassVar[str] = "goalflow"
-    begins_with: ClassVar = ("vocabulary",)
+    begins_with: ClassVar = ("vocabulary", *SightRunConfig.begins_with)
 
     steps: int = other_default(RunConfig, "steps", 6000)
     warmup: int = other_default(RunConfig, "warmup", 200)
@@ -79,8 +89,12 @@ class GoalFlowRunConfig(RunConfig):
         None, "File of goals [K, 2] (.npy) or grid:X0,X1,Y0,Y1 (m) instead of clustered ones."
     )
 
+    @property
+    def sight(self) -> TransfuserConfig | None:
+        return self.model.transfuser if self.model.sensors else None
 
-class GoalFlowRun(DrivingRun):
+
+class GoalFlowRun(SightRun):
     """Learns goals and flow, or the outcomes of what a trained network proposes."""
 
     def __init__(self, config: GoalFlowRunConfig, windows: Windows, out: Path) -> None:
@@ -100,11 +114,33 @@ class GoalFlowRun(DrivingRun):
             )
         if self.learns_outcomes and config.before is None:
             raise ConfigError("before: expected a checkpoint to begin outcomes with, got none")
+        self.sensors = self._opened_sensors(config, windows)
         super().__init__(config, windows, out, of=f"the windows of {windows.path}")
         if self.learns_outcomes:
             asked = self._created()
             asked.load_state_dict(self.model.state_dict())
             self.proposals = proposals(open_logs(windows.path), asked.eval())
+
+    def _opened_sensors(self, config: GoalFlowRunConfig, windows: Windows) -> SensorWindows | None:
+        """Return what the sensors show in the windows, of a planner that sees."""
+        if config.sight is None:
+            for name in OF_SIGHT:
+                if got := getattr(config, name):
+                    raise ConfigError(f"{name}: expected none without model.sensors, got {got}")
+            return None
+        stage, moved = config.objective.stage, config.augmentation.moved
+        if self.learns_outcomes:
+            raise ConfigError(f"objective.stage: expected flow with model.sensors, got {stage}")
+        if moved:
+            said = "expected 0 with model.sensors, whose pictures cannot be moved"
+            raise ConfigError(f"augmentation.moved: {said}, got {moved:g}")
+        return open_sensor_windows(open_logs(windows.path), SensorSizes.of(config.sight))
+
+    @property
+    def data(self) -> dict[str, Any]:
+        if self.sensors is None:
+            return super().data
+        return {**super().data, "sensors": kinds_of(map(read_sensors, self.sensors.logs))}
 
     @staticmethod
     def model_settings(data: Windows) -> Mapping[str, Any]:
@@ -148,10 +184,11 @@ class GoalFlowRun(DrivingRun):
         strays = (to - ways[..., :3]).flatten(0, 1)
         strays = torch.cat([strays, strays * torch.tensor([1.0, -1.0, -1.0])])
         model.stray.copy_(strays.std(0).clamp(min=1e-3).maximum(model.stray / 10))
+        self.load_sight(model)
 
     def begin_after(self, model: GoalFlow, weights: Mapping[str, Tensor]) -> None:
         """Those weights; a scorer of outcomes begins anew where the run before had none."""
-        model.load_state_dict({**model.state_dict(), **weights})
+        super().begin_after(model, {**model.state_dict(), **weights})
 
     def _new_model(self) -> GoalFlow:
         model = super()._new_model()
@@ -174,7 +211,21 @@ class GoalFlowRun(DrivingRun):
             self.windows, chosen, config.augmentation, samples=config.batch.samples, rng=rng
         )
         batch = {**vars(drawn), "targets": drawn.targets[:, :, : config.model.num_steps]}
+        if self.sensors is not None:
+            seen = self._asked(chosen)
+            for picture in (array for array in seen.values() if array.ndim > 2):
+                picture[drawn.mirrored] = picture[drawn.mirrored, ..., ::-1]
+            self.spoil(seen, rng, luck=rng.random())
+            batch |= seen | {"ego_status": drawn.status}
         return batch if self.windows.goal is None else {**batch, "goal": self.windows.goal[chosen]}
+
+    def _asked(self, chosen: NDArray[np.integer]) -> Batch:
+        """Return what `encode` takes in windows: [B, ...] by name."""
+        windows = self.windows
+        ego = {"ego_status": windows.status[chosen], "vehicle_size": windows.size[chosen]}
+        if self.sensors is None:
+            return {"bev": windows.rasters(chosen), **ego}
+        return {**sensors_of(self.sensors.batch(chosen)), **ego}
 
     def _proposed(self, chosen: NDArray[np.int64], rng: np.random.Generator) -> Batch:
         """Windows and what was proposed in them, some left for right."""
@@ -197,15 +248,15 @@ class GoalFlowRun(DrivingRun):
         score of the proposal with the best score.
         """
         windows, device = self.windows, model.vocabulary.device
-        inputs = (windows.rasters([window]), windows.status[[window]], windows.size[[window]])
-        seen = [torch.from_numpy(each).to(device) for each in inputs]
+        arrays = self._asked(np.array([window]))
+        seen = {name: torch.from_numpy(each).to(device) for name, each in arrays.items()}
         if self.learns_outcomes:
             plans = torch.from_numpy(self.proposals.trajectories[window])[None].to(device)
             states = nn.functional.pad(plans, (0, POSE))  # to no goal: none is missed
-            scores = model.score(states, states, model.look(*seen))[0]
+            scores = model.score(states, states, model.look(**seen))[0]
             worth = pdms(self.proposals.scores[window])
             return {"success": float(worth[int(scores.argmax())]), "best_pdms": float(worth.max())}
-        context = model.encode(*seen)
+        context = model.encode(**seen)
         mean = context["prior_mean"]
         modulation = model.modulate(torch.zeros(1, device=device), context)[:, 0]
         x_1 = mean + model.field(mean, mean, modulation, context)
