@@ -64,6 +64,9 @@ LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
 LATE = CostWeights(smooth=0.1, limit_share=0.985)  # of who is late: less smooth, nearer to limits
+# Of who may take any time among what moves. With a low price of time the way past everybody is to
+# wait, at each request anew: robots stood where people came and went.
+GOING = CostWeights(time=15.0)
 TOP_SPEED = 0.97  # share of v_max
 
 
@@ -311,6 +314,7 @@ class Scene:
 
     def cost(self, margin: float = MARGIN) -> TrajectoryCost:
         """Return the cost of trajectories; margin: m of clearance at which hinges begin."""
+        usual = GOING if self.movers is not None and not self.motion.horizon_s else CostWeights()
         return TrajectoryCost(
             self.basis,
             self.cost_fields,
@@ -318,7 +322,7 @@ class Scene:
             self.effective_style,
             self.reference_s,
             margin,
-            weights=LATE if self.is_late else CostWeights(),
+            weights=LATE if self.is_late else usual,
             cruise=self._cruise,
         )
 
