@@ -66,7 +66,7 @@ MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if noth
 LATE = CostWeights(smooth=0.1, limit_share=0.985)  # of who is late: less smooth, nearer to limits
 # Of who may take any time among what moves. With a low price of time the way past everybody is to
 # wait, at each request anew: robots stood where people came and went.
-GOING = CostWeights(time=15.0)
+GOING = CostWeights(time=10.0)
 TOP_SPEED = 0.97  # share of v_max
 
 
