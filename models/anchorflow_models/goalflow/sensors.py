@@ -78,12 +78,9 @@ class SensorGoalFlow(GoalFlow):
         """Return the BEV [B, C, H, W] at the raster's places; beyond the backbone's square it
         repeats the cells at its edge.
         """
-        eyes = self.config.transfuser
-        bev, reach, ahead = (
-            self.backbone(camera, lidar, lidar_before).upscaled,
-            eyes.lidar_range,
-            0.0,
-        )
+        eyes, ahead = self.config.transfuser, 0.0
+        reach = eyes.lidar_range
+        bev = self.backbone(camera, lidar, lidar_before).upscaled
         if self.ground is not None:
             bev, ahead = moved_ahead(bev, eyes.ground_rows), eyes.ground_ahead
             bev = torch.cat([bev, self.ground(camera, bev, ego_status / self.status_units)], 1)

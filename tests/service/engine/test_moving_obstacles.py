@@ -117,6 +117,12 @@ def test_no_network_draws_anchors_among_what_moves(engine: Engine) -> None:
         engine.flow_states(resolve_for_card(asks, engine.card))
 
 
+def test_who_may_take_any_time_goes_on(engine: Engine) -> None:
+    """At the price of time of a standing world these eight metres take 6.6 s."""
+    quick, calm = (asked(engine, CROSSING, w_style=style) for style in ("balanced", "conservative"))
+    assert quick.durations[quick.best] < 5.5 < calm.durations[calm.best]
+
+
 def test_one_route_number_is_one_side(engine: Engine) -> None:
     """Before one who crosses or behind, told from the answer alone."""
     anchors = asked(engine, CROSSING)
