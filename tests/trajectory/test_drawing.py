@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from anchorflow_trajectory.drawing import draw_cells, draw_ends, draw_paths, hide_ticks, sheet
+from anchorflow_trajectory.drawing import draw_cells, draw_ends, hide_ticks
 
 
 def test_a_map_is_drawn_from_edge_to_edge_in_metres() -> None:
@@ -24,17 +24,6 @@ def test_a_map_is_drawn_from_edge_to_edge_in_metres() -> None:
     assert [*axes.get_xticks(), *axes.get_yticks()] == []
 
 
-def test_paths_are_drawn_without_their_heading() -> None:
-    axes = Figure().add_subplot()
-    paths = np.arange(24.0).reshape(2, 4, 3)
-    lines = draw_paths(axes, paths, ["red", "blue"], linewidths=2.0)
-
-    assert axes.collections[0] is lines
-    np.testing.assert_array_equal(np.stack(lines.get_segments()), paths[..., :2])
-    assert np.asarray(lines.get_colors()).tolist() == [[1.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 1.0]]
-    assert np.asarray(lines.get_linewidth()).tolist() == [2.0]
-
-
 @pytest.mark.parametrize("named", [False, True])
 def test_the_ends_are_a_dot_and_a_star(named: bool) -> None:
     axes = Figure().add_subplot()
@@ -45,13 +34,3 @@ def test_the_ends_are_a_dot_and_a_star(named: bool) -> None:
     assert (goal.get_marker(), goal.get_color()) == ("*", "blue")
     assert [np.ravel(line.get_xydata()).tolist() for line in axes.lines] == [[1, 2], [3, 4]]
     assert axes.get_legend_handles_labels()[1] == (["start", "goal"] if named else [])
-
-
-@pytest.mark.parametrize(("count", "rows"), [(1, 1), (4, 1), (5, 2), (9, 3)])
-def test_a_sheet_has_a_panel_for_each(count: int, rows: int) -> None:
-    figure, panels = sheet(count, columns=4, inches=2.0, header=0.5)
-
-    assert len(panels) == count
-    assert all(panel.axison for panel in panels)
-    assert [axes for axes in figure.axes if axes.axison] == panels
-    assert figure.get_size_inches().tolist() == [2.0 * min(count, 4), 2.0 * rows + 0.5]

@@ -42,25 +42,6 @@ def test_fields_follow_from_the_map(scene: Scene) -> None:
     assert scene.cost_fields.surcharge is not None
 
 
-def test_a_field_is_worked_out_once_and_anew_for_another_scene(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: list[float] = []
-    real = clearance.clearance_field
-
-    def counted(occupied: np.ndarray, resolution: float, robot_radius: float) -> np.ndarray:
-        calls.append(robot_radius)
-        return real(occupied, resolution, robot_radius)
-
-    monkeypatch.setattr(clearance, "clearance_field", counted)
-    assert scene.routes is scene.routes
-    assert scene.route_splines is scene.route_splines
-    assert scene.cost_fields.clearance.values is scene.clearance_field
-    wider = replace(scene, robot_radius=0.3)
-    np.testing.assert_allclose(wider.clearance_field[10, 25], scene.clearance_field[10, 25] - 0.1)
-    assert calls == [0.2, 0.3]
-
-
 def test_routes_that_cannot_keep_the_certified_margin_are_not_offered(scene: Scene) -> None:
     occupancy = scene.cost_map.copy()
     occupancy[0, 8:14, 18:21] = 0.0  # a door of 0.6 m, straight ahead

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
-from anchorflow_trajectory.warm_start import resampled_states, warm_states, whole_fields
+from anchorflow_trajectory.warm_start import resampled_states, warm_states
 
 ROUTE = np.array([0, 1, 0, 1, 1])
 
@@ -115,8 +115,3 @@ def test_splines_are_those_of_scipy(steps: int, num_steps: int) -> None:
     got = resampled_states(given, dim=2, num_steps=num_steps, horizon_s=HORIZON_S)
     expected = np.concatenate([spline(times, order) for order in range(3)], axis=-1)
     np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6)
-
-
-def test_columns_are_whole_fields() -> None:
-    assert [c for c in range(12) if whole_fields(c, 2)] == [2, 4, 6]
-    assert [c for c in range(12) if whole_fields(c, 3)] == [3, 6, 9]

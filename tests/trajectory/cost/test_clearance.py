@@ -25,21 +25,6 @@ def test_distance_is_to_the_square() -> None:
     assert distance[6, 6] == pytest.approx(0.5 * np.hypot(1.5, 1.5))
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_distance_equals_brute_force(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    cells = rng.random((12, 10)) < 0.15
-    cells[0, 0] = True
-    rows, columns = np.argwhere(cells).T
-    i, j = np.indices(cells.shape)[:, :, :, None]
-    gap_i = np.maximum(np.abs(i - rows) - 0.5, 0)
-    gap_j = np.maximum(np.abs(j - columns) - 0.5, 0)
-    nearest = np.where(cells, 0.0, np.hypot(gap_i, gap_j).min(-1))
-    # The nearest centre and the nearest square can differ by a few hundredths of a cell.
-    assert np.abs(distance_to_cells(cells, 1.0) - nearest).max() < 0.2
-    assert (distance_to_cells(cells, 1.0) >= nearest - 1e-5).all()
-
-
 def test_clearance_falls_into_obstacles_and_past_the_edge() -> None:
     occupied = np.zeros((20, 20), bool)
     occupied[8:12, 8:12] = True

@@ -287,10 +287,3 @@ def test_leaning_keeps_the_corners_and_the_middle() -> None:
     leaning = weights.leaning(np.array([0.5, 0.25, 0.25]))
     np.testing.assert_allclose(leaning, np.array([8, 1, 1]) / 10)
     np.testing.assert_allclose(weights.leaning(np.eye(3)[[2, 0]]), np.eye(3)[[2, 0]].T)
-
-
-def test_stiffer_weighs_what_must_hold_and_no_style() -> None:
-    soft, stiff = CostWeights(), CostWeights().stiffer(4.0)
-    changed = {f.name for f in fields(soft) if getattr(soft, f.name) != getattr(stiff, f.name)}
-    assert changed == {"collision", "speed", "acceleration"}
-    assert all(getattr(stiff, name) == 4.0 * getattr(soft, name) for name in changed)

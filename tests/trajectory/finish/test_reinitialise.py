@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from anchorflow_client.contract import RefineSpec
-from anchorflow_trajectory.finish import refiner as refine
 from anchorflow_trajectory.finish.refined import Refined
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.motion import MotionLimits
@@ -154,10 +153,3 @@ def test_where_no_way_leads_nothing_is_found() -> None:
     anchors = refined(occupied, start, goal, MotionLimits(2.0, 3.0))
 
     assert not anchors.safe.any()
-
-
-def test_nothing_is_begun_anew_where_there_is_no_need(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(refine, "new_starts", lambda *_, **__: pytest.fail("begun anew"))
-    free = np.zeros((100, 100), np.float32)
-
-    assert refined(free, np.full(2, 2.0), np.full(2, 7.0), MotionLimits(2.0, 3.0)).safe.all()

@@ -23,13 +23,6 @@ def test_the_published_levels() -> None:
     assert (np.diff(SIGNAL) < 0).all()
 
 
-def test_noise_keeps_the_variance() -> None:
-    rng = np.random.default_rng(0)
-    x_0, noise = rng.standard_normal((2, 200_000))
-    for level in (8, 500):
-        assert noised(x_0, noise, float(SIGNAL[level])).var() == pytest.approx(1.0, abs=0.01)
-
-
 def test_steps_follow_one_noise_where_the_data_are_known() -> None:
     # Given the true x_0, each level of the path is the data with the same noise, whatever the
     # number of steps.

@@ -138,24 +138,6 @@ def test_it_asks_for_the_stages_times() -> None:
     assert times == pytest.approx([0.0, 0.4, 0.4, 0.8, 0.8, 0.9, 0.9, 1.0])
 
 
-@EACH_METHOD
-def test_the_fast_integrator_agrees_with_it(method: Method) -> None:
-    """On a field that is not linear and depends on the time."""
-    times = stage_times(method, EIGHT_STEP_SCHEDULE).times
-
-    def slope(x: Array, t: float) -> Array:
-        return 3.0 * (1.0 + t) * x * (1.0 - x)
-
-    def fast(x: Array, time_index: int, out: Array) -> None:
-        out[...] = slope(x, float(times[time_index]))
-
-    x_0 = np.random.default_rng(0).uniform(0.1, 0.9, (3, 5))
-    plain = integrate_plainly(slope, x_0, schedule=EIGHT_STEP_SCHEDULE, method=method)
-    got = integrate(fast, x_0, schedule=EIGHT_STEP_SCHEDULE, method=method)
-    assert np.abs(plain - x_0).max() > 0.2
-    np.testing.assert_allclose(got, plain, atol=1e-6)  # flow times are float32 in the fast one
-
-
 def test_draws_are_the_product_row_by_row() -> None:
     rng = np.random.default_rng(0)
     noise, basis = (rng.normal(size=shape).astype(np.float32) for shape in ((70, 27), (27, 448)))

@@ -46,17 +46,6 @@ def test_wrong_coefficients_are_refused(changes: dict, message: str) -> None:
         replace(RK4, **changes)
 
 
-def test_three_eighths_rule_is_of_order_four_too() -> None:
-    rule = ButcherTableau(
-        "three-eighths",
-        a_lower=((), (1 / 3,), (-1 / 3, 1.0), (1.0, -1.0, 1.0)),
-        b=(1 / 8, 3 / 8, 3 / 8, 1 / 8),
-        c=(0.0, 1 / 3, 2 / 3, 1.0),
-        order=4,
-    )
-    assert rule.stages == 4
-
-
 UNEQUAL = (0.0, 0.1, 0.35, 0.5, 1.0)
 
 

@@ -83,13 +83,6 @@ def test_a_uniform_motion_is_the_spline_of_its_duration(basis: SplineBasis) -> N
         np.testing.assert_allclose(acceleration[0], 0.0, atol=1e-3 / duration)
 
 
-def test_the_same_control_points_in_twice_the_time_are_half_as_fast(basis: SplineBasis) -> None:
-    control = np.random.default_rng(1).normal(size=(2, 3, basis.num_control_points))
-    first, second = (basis.states(Splines(control, np.full(3, d))) for d in (2.0, 4.0))
-    for order, (one, other) in enumerate(zip(first, second, strict=True)):
-        np.testing.assert_allclose(other, one / 2**order, rtol=1e-6)
-
-
 def test_own_time_states_are_those_of_one_second(basis: SplineBasis, splines: Splines) -> None:
     unit = Splines(splines.control, np.ones(5))
     np.testing.assert_allclose(
@@ -160,15 +153,3 @@ def test_a_third_dimension_is_carried_along() -> None:
     assert position.shape == (1, 32, 3)
     np.testing.assert_allclose(position[0, 0], ends.x_curr[:3], atol=1e-5)
     np.testing.assert_allclose(velocity[0, -1], ends.x_goal[3:], atol=1e-5)
-
-
-def test_some_of_the_splines_and_others_in_their_places(splines: Splines) -> None:
-    assert len(splines) == 5
-    chosen = np.array([3, 1])
-    some = splines[chosen]
-    np.testing.assert_array_equal(some.control, splines.control[:, [3, 1]])
-    assert some.duration.tolist() == [8.0, 2.0]
-    swapped = splines.replaced(chosen[::-1], some)
-    assert swapped.duration.tolist() == [0.6, 8.0, 5.0, 2.0, 30.0]
-    np.testing.assert_array_equal(swapped.control[:, 1], splines.control[:, 3])
-    assert splines.duration.tolist() == DURATION.tolist()
