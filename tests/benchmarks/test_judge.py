@@ -96,19 +96,6 @@ def test_it_agrees_with_the_judge_outside_the_project(
         np.testing.assert_allclose(verdict.measures[name], value, rtol=0, atol=1e-9, err_msg=name)
 
 
-def test_it_agrees_on_public_scenes(
-    limits: MotionLimits, shared_tool: Tools, shared_data: Callable[[str], Path]
-) -> None:
-    for case in load_scenes(str(shared_data("scenes_public.npz")), limits=limits, limit=2):
-        plan = random_anchors(case, count=32, seed=3, size=1.0)
-        expected = shared_tool("score_anchors").score_scene(*arguments(plan, case))
-        measures = SceneJudge(case, limits).judge(plan).measures
-        got = {name: measures[name] for name in expected}
-        np.testing.assert_allclose(
-            list(got.values()), list(expected.values()), rtol=0, atol=1e-9, equal_nan=True
-        )
-
-
 def test_a_straight_way_past_nothing_succeeds(scene: SceneMaker, limits: MotionLimits) -> None:
     case = scene(np.zeros((32, 32), bool))
     verdict = SceneJudge(case, limits).judge(bows(case, 0.0))

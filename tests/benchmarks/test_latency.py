@@ -20,10 +20,10 @@ from flowmp_scenes import make_model
 from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.field_costs import FIELDS, field_rows
 from anchorflow_benchmarks.latency import Contest, LatencyConfig, latency_tables, onnx_loop
-from anchorflow_benchmarks.plain_loops import count_flops, repeated, torch_loop
+from anchorflow_benchmarks.plain_loops import count_flops, torch_loop
 from anchorflow_benchmarks.planners import parse_sampler
 from anchorflow_benchmarks.scene_files import draw_scenes
-from anchorflow_benchmarks.turns import MIN_ROUNDS, p50, p99, take_turns
+from anchorflow_benchmarks.turns import MIN_ROUNDS, take_turns
 from anchorflow_client.contract import OdeSpec, ResolvedRequest
 from anchorflow_models import L2SafetyCFM
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
@@ -44,12 +44,6 @@ def bundle() -> Bundle:
 @pytest.fixture(scope="module")
 def scenes(limits: MotionLimits) -> list[FamilyScene]:
     return draw_scenes(1, 0, limits=limits, cells=32)
-
-
-def test_what_is_repeated_is_copied() -> None:
-    out = repeated({"a": np.arange(3.0, dtype=np.float32)[None]}, 4)["a"]
-    assert out.shape == (4, 3)
-    assert out.strides[0] > 0
 
 
 def test_the_engine_and_its_loops_are_measured(bundle: Bundle, scenes: list[FamilyScene]) -> None:
@@ -122,11 +116,6 @@ def test_calls_alternate_and_a_slow_one_leaves() -> None:
     assert set(rounds) == {"ab", "ba"}
     assert [len(t) for t in times.values()] == [20, 20]
     assert [len(t) for t in take_turns(calls, rounds=50, budget_s=0.0).values()] == [MIN_ROUNDS] * 2
-
-
-def test_percentiles() -> None:
-    assert p50([1.0, 2.0, 10.0]) == 2.0
-    assert p99([float(k) for k in range(101)]) == 99.0
 
 
 EULER = OdeSpec("euler", (0.0, 0.5, 1.0))

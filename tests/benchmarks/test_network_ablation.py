@@ -61,18 +61,6 @@ def test_a_finish_descends_as_often_as_it_is_told(bundle: Bundle, descents: int)
     assert load_bundle(DEFAULT_BUNDLE).manifest == bundle.manifest
 
 
-def test_more_descents_cost_less(bundle: Bundle, case: FamilyScene) -> None:
-    """Scored by the same cost; few descents may mend less of what fails than fewer do."""
-    scores = []
-    for descents in DESCENTS:
-        anchors = rival(bundle, descents).planner.plan(case, num=12, seed=1)
-        assert anchors.scores is not None
-        scores.append(float(np.median(anchors.scores)))
-    assert scores[0] < min(scores[1:])
-    assert scores[-1] == max(scores)
-    assert scores[-1] < 0.0
-
-
 def test_routes_are_given_to_both_sides_and_last_as_long_as_they_need(
     bundle: Bundle, case: FamilyScene
 ) -> None:

@@ -16,7 +16,6 @@ from anchorflow_benchmarks.baselines import (
     LinesPlanner,
     named_baselines,
 )
-from anchorflow_benchmarks.closed_loop.anchor_sources import minimum_jerk
 from anchorflow_benchmarks.judge import SceneJudge
 from anchorflow_benchmarks.planners import (
     bundle_names,
@@ -82,14 +81,6 @@ def wall(gap: bool) -> np.ndarray:
     if gap:
         occupied[42:54, 31:33] = False
     return occupied
-
-
-def test_minimum_jerk_is_at_rest_at_both_ends() -> None:
-    along = minimum_jerk(101)
-
-    assert along[[0, 50, 100]].tolist() == pytest.approx([0.0, 0.5, 1.0])
-    assert np.diff(along)[[0, -1]].max() < 1e-4
-    assert np.diff(along).max() * 100 == pytest.approx(1.875, abs=1e-3)
 
 
 @pytest.mark.parametrize("name", ["expert", "lines", "rrt"])

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
-from anchorflow_benchmarks import BenchmarkError, pictures
+from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
 from anchorflow_benchmarks.planners import Proposals, engine_planners, sampler_name
 from anchorflow_benchmarks.quality import (
@@ -126,18 +125,6 @@ def test_pictures_are_drawn(
     assert (tmp_path / "time.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(BenchmarkError, match="nowhere"):
         draw_quality_over_time(tables[0].rows, tmp_path / "nowhere" / "time.png")
-
-
-def test_every_row_is_told_apart_in_the_picture(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    figures: list[Figure] = []
-    monkeypatch.setattr(pictures, "_save", lambda figure, _: figures.append(figure))
-    rows = [{"planner": f"{k}", "ms": 1.0, "success": 0.5, "any": 1.0} for k in range(25)]
-    draw_quality_over_time(rows, tmp_path / "time.png")
-
-    points = [line for line in figures[0].axes[0].lines if line.get_marker() != "None"]
-    assert len(points) == len({(line.get_color(), line.get_marker()) for line in points}) == 50
 
 
 def test_a_row_a_style_and_what_the_names_promise(

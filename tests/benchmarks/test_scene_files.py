@@ -103,12 +103,6 @@ def test_drawn_scenes_depend_on_the_seed_and_are_not_those_of_a_dataset(
     assert len(load_scenes("drawn:2:7", limits=limits)) == 2
 
 
-@pytest.mark.parametrize("text", ["drawn:", "drawn:3", "drawn:3:x", "drawn:0:1", "drawn:3:-1"])
-def test_a_wrong_draw_is_refused(text: str, limits: MotionLimits) -> None:
-    with pytest.raises(BenchmarkError, match="drawn:"):
-        load_scenes(text, limits=limits)
-
-
 def test_without_the_file_scenes_are_drawn(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scene_file: Callable[..., Path]
 ) -> None:

@@ -64,26 +64,6 @@ def test_a_motion_through_a_wall_costs_more_than_the_way_round() -> None:
     assert through > around + 10.0
 
 
-def test_what_is_nearer_to_the_goal_at_the_end_costs_less() -> None:
-    grid, states = grid_of(np.zeros((80, 120), bool)), torch.zeros(3, 30, 5)
-    states[:, :, 0] = torch.tensor([0.0, 2.0, 4.0])[:, None] * torch.linspace(0.0, 1.0, 30)
-    still, slow, fast = cost_of(states, grid, NavigationCost())
-    assert still > slow > fast
-
-
-def test_mppi_drives_off_towards_the_goal() -> None:
-    torch.manual_seed(0)
-    free = grid_of(np.zeros((80, 120), bool))
-    mppi = MppiController(Unicycle(), MppiConfig(samples=64, steps=20), tick_s=0.1)
-    state = Unicycle().start(np.zeros(3))
-    for _ in range(10):
-        command, chosen = mppi.decide(state, grid=free, goal=GOAL)
-        state = Unicycle().step(state, command, 0.1)
-        assert chosen is None
-    assert float(state[0]) > 0.5
-    assert abs(float(state[1])) < 0.5
-
-
 def test_an_anchor_round_a_wall_is_gone_on_from() -> None:
     occupied = np.zeros((120, 160), bool)
     occupied[50:70, 52] = True  # x = 0.2, y from -1 to 1

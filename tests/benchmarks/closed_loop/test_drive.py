@@ -87,19 +87,6 @@ def test_a_collision_ends_the_run_where_the_discs_touch(world: Callable[..., Wor
     assert run.length == pytest.approx(3.0 - 0.35, abs=0.05)
 
 
-def test_the_robot_knows_only_what_it_has_seen(world: Callable[..., World]) -> None:
-    ticks: list[Tick] = []
-    Drive(
-        world([(2.0, 0.0), (3.5, 0.0), (-2.0, 0.0)]),
-        controller(),
-        config=DriveConfig(limit_s=0.2, **MAP),
-    ).run(ticks.append)
-
-    _, columns = np.nonzero(ticks[0].occupied)
-    x = ticks[0].origin[0] + ticks[0].resolution * (columns + 0.5)
-    assert ((x > 1.5) & (x < 2.3)).all()  # neither the hidden post nor the one behind the robot
-
-
 class Outage:
     """Straight lines, with connection errors between two moments."""
 
@@ -165,19 +152,6 @@ def test_a_service_that_stops_for_two_seconds_is_survived(
     else:
         assert not expired  # the last good plan outlives the outage
     assert run.end is End.GOAL
-
-
-def test_without_any_service_the_robot_never_moves(world: Callable[..., World]) -> None:
-    clock = SimulatedTime()
-    planner = Planner(
-        Outage(clock, 0.0, 1e9), clock=clock, executor=LatencyExecutor(clock, fixed_s=0.05)
-    )
-    config = DriveConfig(limit_s=2.0, **MAP)
-    run = Drive(world(), controller(), planner=planner, clock=clock, config=config).run()
-
-    assert run.end is End.TIMEOUT
-    assert run.length == 0.0
-    assert run.ticks_braked == 20
 
 
 def test_what_is_due_happens_in_its_order() -> None:

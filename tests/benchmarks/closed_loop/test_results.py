@@ -23,11 +23,6 @@ def test_a_way_of_12_m_has_a_best_time_of_6_s(time_s: float, score: float) -> No
     assert barn_score(run_of(End.GOAL, time_s), 12.0) == pytest.approx(score)
 
 
-@pytest.mark.parametrize("end", [End.COLLISION, End.TIMEOUT])
-def test_a_run_that_does_not_arrive_scores_nothing(end: End) -> None:
-    assert barn_score(run_of(end), 12.0) == 0.0
-
-
 def result(contender: str, world: str, end: End, time_s: float = 10.0, ms: float = 50.0) -> Result:
     return Result(contender, world, 0, 12.0, run_of(end, time_s), (ms,))
 

@@ -117,25 +117,6 @@ def test_a_rectangle_is_as_near_to_a_post_as_its_nearest_edge_or_corner() -> Non
 
 
 @pytest.mark.parametrize("robot", BOTH)
-def test_a_long_step_ends_where_many_short_ones_do(robot: Robot) -> None:
-    start, control = robot.start(np.array([0.0, 0.0, 0.4])), torch.tensor([1.5, 1.0])
-    several = start
-    for _ in range(5):
-        several = robot.step(several, control, 0.02)
-    torch.testing.assert_close(robot.step(start, control, 0.1), several, atol=2e-4, rtol=0.0)
-
-
-@pytest.mark.parametrize("robot", BOTH)
-def test_one_sample_never_touches_another(robot: Robot) -> None:
-    generator = torch.Generator().manual_seed(0)
-    states = torch.randn(5, robot.state_size, generator=generator)
-    controls = torch.randn(5, 2, generator=generator)
-    together = robot.step(states, controls, 0.1)
-    for one, state, control in zip(together, states, controls, strict=True):
-        torch.testing.assert_close(robot.step(state, control, 0.1), one)
-
-
-@pytest.mark.parametrize("robot", BOTH)
 def test_a_path_is_followed_to_its_end(robot: Robot) -> None:
     bend = torch.linspace(0.0, math.pi / 2, 64)
     paths = torch.stack([2.0 * torch.sin(bend), 2.0 - 2.0 * torch.cos(bend)], 1)[None]
@@ -146,15 +127,6 @@ def test_a_path_is_followed_to_its_end(robot: Robot) -> None:
     assert float(off.max()) < 0.1
     assert float((places[-1] - paths[0, -1]).norm()) < 0.15
     assert float(robot.speed(states).max()) <= 1.0 + 1e-5
-
-
-def test_a_unicycle_turns_on_the_spot_to_a_path_behind_it() -> None:
-    line = torch.stack([-torch.linspace(0.0, 2.0, 64), torch.zeros(64)], 1)[None]
-    start = Unicycle().start(np.zeros(3))
-    _, states = motions_along(Unicycle(), line, start, steps=60, dt=0.1, speed=1.0)
-
-    assert float(states[0, :, 1].abs().max()) < 0.25
-    assert float(states[0, -1, 0]) < -1.5
 
 
 @pytest.mark.parametrize("robot", BOTH)
@@ -218,19 +190,6 @@ def test_each_anchor_is_driven_at_its_own_pace(robot: Robot) -> None:
 
     assert robot.speed(own[:, 12]).tolist() == pytest.approx([0.5, 1.2], abs=0.02)
     assert robot.speed(cruise[:, 12]).tolist() == pytest.approx([1.5, 1.5], abs=0.02)
-
-
-@pytest.mark.parametrize("robot", BOTH)
-def test_an_anchor_from_rest_to_rest_is_driven_to_its_end(robot: Robot) -> None:
-    request = straight_request(num_samples=1, v_max=1.0)
-    batch = LinesSource().plan_request(request)
-    paths, paces = timed_paths(Plan(PlanState.FRESH, batch, age_ms=0.0), period_s=0.1)
-    start = robot.start(np.array([-2.0, 0.0, 0.0]))
-    _, states = motions_along(robot, paths, start, steps=120, dt=0.1, speed=1.5, paces=paces)
-
-    assert float(robot.speed(states).max()) == pytest.approx(1.0, abs=0.1)
-    assert float(states[0, -1, 0]) == pytest.approx(2.0, abs=0.3)
-    assert float(robot.speed(states[0, -1])) < 0.1
 
 
 @pytest.mark.parametrize("limits", [{}, {"v_max": 0.5, "a_max": 2.5}, {"v_max": 9.0, "a_max": 1.0}])

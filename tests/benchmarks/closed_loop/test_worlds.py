@@ -74,11 +74,6 @@ def test_worlds_to_draw_are_counted_and_seeded(text: str) -> None:
         load_worlds(text)
 
 
-def test_fewer_worlds_are_spread_evenly() -> None:
-    all_of_them, some = load_worlds("drawn:5:0"), load_worlds("drawn:5:0", limit=3)
-    assert [w.name for w in some] == [all_of_them[i].name for i in (0, 2, 4)]
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_a_drawn_world_leaves_start_and_goal_free_and_a_way_between_them(seed: int) -> None:
     world = draw_world(seed)
@@ -216,10 +211,3 @@ def test_drawn_forests_are_the_same_for_a_seed_and_can_be_crossed() -> None:
         assert (fence >= low - 1e-6).all()
         assert (fence <= high + 1e-6).all()
         assert room_at_ends(world) >= 0.0
-
-
-def test_the_public_forests(shared_data: Callable[[str], Path]) -> None:
-    worlds = load_worlds(str(shared_data("forests_public.npz")), limit=50)
-
-    assert len(worlds) == 50
-    assert all(world.path_length >= MIN_WAY for world in worlds)

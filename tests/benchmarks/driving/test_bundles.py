@@ -11,7 +11,6 @@ from command_line import failure
 from driven_bend import bend, write_bends
 from image_planner import write_image_bundle
 
-from anchorflow_benchmarks import BenchmarkError
 from anchorflow_benchmarks.driving.open_loop import (
     Entry,
     drive_tables,
@@ -24,11 +23,10 @@ from anchorflow_driving import bundle_driver
 from anchorflow_driving.bundle_driver import BundleDriver, WindowProposals
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import SensorError
-from anchorflow_driving.pdm import PdmScorer, PdmScores
+from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.sensors.inputs import SENSORS
 from anchorflow_driving.window import Scenes
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_trajectory.car.tracking import Motion
 
 GOALFLOW = DEFAULT_BUNDLE.parent / "goalflow"
 N = 16
@@ -147,20 +145,6 @@ def test_figures_of_known_proposals() -> None:
     assert figures["off-road score"] == pytest.approx(np.mean([0.5, 0.4, 0.3, 0.2, 0.1]))
 
 
-def test_a_window_s_proposals_are_scored_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    judged_plans, judge = [], PdmScorer.judge
-
-    def counting(self: PdmScorer, motion: Motion) -> PdmScores:
-        judged_plans.append(len(motion.poses))
-        return judge(self, motion)
-
-    monkeypatch.setattr(PdmScorer, "judge", counting)
-    driver = opened()
-    judged = judge_drivers({driver.name: Entry(driver)}, [bend(0)])[driver.name]
-
-    assert judged_plans == [1, N] * len(judged)
-
-
 def test_a_bundle_without_windows_has_no_table() -> None:
     titles = [table.title for table in drive_tables({"wote": []})]
 
@@ -174,11 +158,6 @@ def test_a_bundle_that_asks_for_more_than_a_log_tells_is_named(
     monkeypatch.setattr("anchorflow_driving.sensors.inputs.SENSORS", known)
     with pytest.raises(SensorError, match=r"expected inputs among bev, .* got camera"):
         opened(write_image_bundle(tmp_path))
-
-
-def test_a_sampler_that_there_is_not_is_named() -> None:
-    with pytest.raises(BenchmarkError, match="METHOD:uniformN"):
-        opened(sampler="often")
 
 
 def test_bundles_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) -> None:
