@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from command_line import failure, succeed
 
 from anchorflow_training.data import SyntheticTrajectoryDataset
@@ -119,30 +118,6 @@ def test_errors_are_one_line(file: Path, tmp_path: Path) -> None:
     assert "sheet.svg" in refused("inspect", tmp_path / "d", "--out", sheet)
     assert "expected a file .png" in refused("inspect", tmp_path / "d", "--out", "sheet.txt")
     assert "expected KITTI" in refused("from-poses", tmp_path / "none", tmp_path / "p.npz")
-
-
-@pytest.mark.parametrize("ranges", [[1], {"v_max": 3}, {"v_max": ["a", "b"]}])
-def test_ranges_that_are_none_are_one_line(ranges: object, tmp_path: Path) -> None:
-    import_scenes(SyntheticTrajectoryDataset("sine", 1, num_steps=16), tmp_path)
-    meta = json.loads((tmp_path / "dataset.json").read_text())
-    (tmp_path / "dataset.json").write_text(json.dumps(meta | {"ranges": ranges}))
-    answer = refused("inspect", tmp_path)
-    assert answer.startswith(f"anchorflow data: {tmp_path / 'dataset.json'}: ranges")
-    assert "\n" not in answer
-
-
-def test_wrong_words_are_one_line(file: Path, tmp_path: Path) -> None:
-    torch.save({"trajectories": torch.ones(2, 9, 2).cumsum(1), "horizon": 9.0}, tmp_path / "a.pt")
-    made("import", tmp_path / "a.pt", tmp_path / "d")
-    assert "no such file" in refused("inspect", tmp_path / "none")
-    ends = ("--horizon-s", 8)
-    for words, said in (
-        (("import", file, tmp_path / "e", *ends, "--v-max", -1), "v_max: expected a finite number"),
-        (("import", file, tmp_path / "e", *ends, "--least-quality", 1), "quality: expected"),
-    ):
-        answer = refused(*words)
-        assert said in answer
-        assert "\n" not in answer
 
 
 @pytest.mark.parametrize(

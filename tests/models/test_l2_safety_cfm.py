@@ -9,7 +9,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from anchorflow_models import L2SafetyCFM
-from anchorflow_models.layers.places import GaussianFourierTime, lookup, sinusoidal_positions
+from anchorflow_models.layers.places import lookup
 
 BATCH, COUNT = 2, 5
 
@@ -135,11 +135,3 @@ def test_lookup_equals_grid_sample() -> None:
 def test_a_goal_at_the_start_is_no_special_case(model: L2SafetyCFM, scene: Scene) -> None:
     scene = scene | {"x_goal": torch.cat([scene["x_curr"][:, :2], torch.zeros(BATCH, 2)], -1)}
     assert field_of(model, scene, torch.randn(1, COUNT, model.prior.rank)).isfinite().all()
-
-
-def test_embeddings() -> None:
-    positions = sinusoidal_positions(8, 16)
-    assert positions.shape == (8, 16)
-    torch.testing.assert_close(positions[0, 1::2], torch.ones(8))
-    time = GaussianFourierTime(32)
-    assert time(torch.rand(4, 7)).shape == (4, 7, 32)

@@ -7,7 +7,7 @@ import torch
 from flowmp_scenes import field_of, make_model, make_scene, means_of
 from torch import Tensor
 
-from anchorflow_models import CostMapEncoder, L2SafetyCFM
+from anchorflow_models import L2SafetyCFM
 from anchorflow_models.flowmp.cost_map_encoder import MapWindow
 from anchorflow_models.flowmp.frame import Frame
 from anchorflow_models.layers.attention import MapAttention
@@ -69,16 +69,6 @@ def test_the_graphs_carry_what_the_options_ask_for() -> None:
         )
 
 
-def test_keys_and_values_are_one_set_a_layer() -> None:
-    for options, shape in (
-        ({}, (2, 4, 2, 4, 16, 32)),
-        ({"map_scales": 2}, (2, 4, 2, 4, 32, 32)),
-        ({"backbone": "unet"}, (2, 1, 2, 8, 16, 32)),
-    ):
-        model = make_model(map_size=32, map_attention=True, **options)
-        assert model.encode(**make_scene())["map_keys_values"].shape == shape
-
-
 @torch.no_grad()
 def test_map_tokens_know_their_places() -> None:
     """The same cells in other places are another map; tokens in another order are not."""
@@ -128,28 +118,6 @@ def test_the_second_window_sees_twice_as_far(options: dict) -> None:
         assert torch.equal(base, other) != sees
 
 
-def test_each_window_is_looked_up_where_the_trajectory_is() -> None:
-    """Tables that hold the metric place of each cell return the places."""
-    model, scene = make_model(map_scales=2, feature_channels=0), make_scene()
-    frame = Frame.between(scene["x_curr"][:, :2], scene["x_goal"][:, :2])
-    tables = {
-        name: frame.widened(width).window(64).unflatten(1, (64, 64))
-        for name, width in model.windows.items()
-    }
-    places = frame.centre[:, None] + torch.tensor([[0.5, -1.0], [-1.5, 0.7]])
-    seen = model._seen(frame.place(places), tables)
-    torch.testing.assert_close(seen, torch.cat([places, places], -1), atol=1e-5, rtol=0)
-
-
-@pytest.mark.parametrize("channels", [1, 5])
-def test_any_number_of_channels(channels: int) -> None:
-    model, scene = make_model(map_size=16, map_channels=channels), make_scene(channels=channels)
-    noise = torch.randn(1, COUNT, model.prior.rank)
-    base = field_of(model, scene, noise)
-    scene["cost_map"][:, -1] = 1 - scene["cost_map"][:, -1]
-    assert not torch.allclose(field_of(model, scene, noise), base, atol=1e-5)
-
-
 @pytest.mark.parametrize("shape", [(16, 40), (97, 50)])
 def test_maps_of_any_size_are_resampled(shape: tuple[int, int]) -> None:
     """A ramp across 8 m of map, in any cells, is the same ramp across the window."""
@@ -162,14 +130,3 @@ def test_maps_of_any_size_are_resampled(shape: tuple[int, int]) -> None:
     x = frame.window(16)[..., 0].unflatten(1, (16, 16))
     rows = slice(7, 9)  # well inside the map, however few rows it has
     torch.testing.assert_close(seen[:, 2, rows], (x[:, rows] + 4) / 8, atol=1e-5, rtol=0)
-
-
-def test_an_encoder_without_features_has_no_way_back_up() -> None:
-    maps = torch.randn(2, 7, 24, 16)
-    encoding = CostMapEncoder(7, 0)(maps)
-    assert encoding.features is None
-    assert encoding.coarse.shape == (2, 96, 3, 2)
-    assert encoding.summary.shape == (2, 192)
-    features = CostMapEncoder(7, 5)(maps).features
-    assert features is not None
-    assert features.shape == (2, 24, 16, 5)

@@ -96,32 +96,12 @@ def test_the_published_shapes() -> None:
 
 
 @torch.inference_mode()
-def test_every_size_may_be_another() -> None:
-    config = replace(SMALL, anchors=7, groups=2, variants=3, keep=5, vocabulary=4, classes=3)
-    told = shapes(whole(planner(config), sensors(config, B=2)))
-    assert told["trajectories"] == (2, 14, 8, 3)
-    assert told["candidates"] == (2, 7 * 2 * 3 + 4, 8, 3)
-    assert (told["scores"], told["bev_semantics"]) == ((2, 5), (2, 3, 128, 256))
-    assert told["bev"] == (2, SMALL.width, 64, 64)
-
-
-@torch.inference_mode()
 def test_a_candidate_has_the_class_score_of_the_trajectory_that_it_varies() -> None:
     config = replace(SMALL, anchors=7, groups=2, variants=3, keep=5, vocabulary=4)
     told = whole(planner(config), sensors())
     own, fixed = told["poses_cls"][0].split([7 * 2 * 3, 4])
     torch.testing.assert_close(own.unflatten(0, (-1, 3)).T, told["class_scores"].expand(3, -1))
     assert (fixed == told["class_scores"].min()).all()
-
-
-@torch.inference_mode()
-def test_scenes_do_not_touch_one_another() -> None:
-    model = planner()
-    inputs = sensors(B=2)
-    both = model.encode(**inputs)
-    second = model.encode(**{name: tensor[1:] for name, tensor in inputs.items()})
-    for name, tensor in second.items():
-        torch.testing.assert_close(both[name][1:], tensor, rtol=1e-4, atol=1e-5)
 
 
 @torch.inference_mode()
@@ -265,21 +245,6 @@ def test_the_fine_scorer_looks_where_a_car_drives_that_follows_a_candidate() -> 
     torch.testing.assert_close(after["coarse_scores"], before["coarse_scores"])
 
 
-@torch.inference_mode()
-def test_what_the_lidar_strikes_lies_at_its_place_of_the_road_ahead() -> None:
-    perception, backbone = planner().perception, SMALL.backbone
-    inputs = sensors()
-    cells = torch.zeros(1, backbone.bev_size**2, SMALL.width)
-    upscaled = torch.zeros(1, backbone.bev_channels, 64, 64)
-    struck = upscaled.clone()
-    struck[:, :, 2, 10] = 5.0  # 29.5 m ahead and 21.5 m to the left
-    before, after = (
-        perception._joined(cells, each, inputs["camera"], inputs["ego_status"])
-        for each in (upscaled, struck)
-    )
-    assert (after - before)[0].norm(dim=0).argmax() == (2 + 24) * 64 + 10
-
-
 def met_by(candidates: Tensor, *, at_s: float, ahead: int = 6) -> Tensor:
     """[M]: the change of candidates [M, T, 3] by an obstacle `ahead` m away at one time."""
     torch.manual_seed(0)
@@ -358,16 +323,3 @@ def test_of_equals_the_likelier_scores_higher() -> None:
     torch.testing.assert_close(
         scored.scores, torch.tensor([[worth, worth * math.exp(-0.1 * (3.0 - 1.0))]])
     )
-
-
-@torch.inference_mode()
-def test_the_published_planner_foretells_no_likeness() -> None:
-    names = dict(planner(replace(SMALL, imitation=0.0)).named_parameters())
-    also = dict(planner(replace(SMALL, imitation=0.1)).named_parameters())
-    assert {name.split(".")[-3] for name in also.keys() - names.keys()} == {"imitation"}
-
-
-def test_the_score_is_that_of_pdm() -> None:
-    nc, dac, ep, ttc, c = 0.5, 0.8, 0.6, 0.9, 1.0
-    expected = nc * dac * (5 * ep + 5 * ttc + 2 * c) / 12
-    assert pdm_score(torch.tensor([nc, dac, ep, ttc, c])).item() == pytest.approx(expected)

@@ -78,12 +78,6 @@ def test_an_end_nearer_than_the_margin_lowers_it(clearance: ClearanceMap) -> Non
     assert margin.tolist() == pytest.approx([0.3, 0.05], abs=0.02)
 
 
-def test_where_nothing_can_move_nothing_does(barrier: Barrier, x: Tensor) -> None:
-    field = torch.randn_like(x)
-    kept = barrier.kept(field, x, 1.0, torch.zeros(SCENES, 3, STEPS * 7), stride=None)
-    assert torch.equal(kept, field)
-
-
 @pytest.mark.parametrize("method", ["euler", "rk4"])
 def test_anchors_that_graze_a_block_are_steered_clear(method: str) -> None:
     def clearance(**settings: Any) -> Tensor:

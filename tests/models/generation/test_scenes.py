@@ -11,7 +11,6 @@ import torch
 from anchorflow_client.errors import InvalidRequest
 from anchorflow_models import L2Config
 from anchorflow_models.generation import encode_inputs, requested_scenes
-from anchorflow_models.generation.scenes import prior_means
 from anchorflow_trajectory.cost.clearance import clearance_field
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene
@@ -61,16 +60,6 @@ def test_the_limits_are_the_scenes() -> None:
     inputs = encode_inputs([one], CPU)
     torch.testing.assert_close(inputs["limits"], torch.tensor([[0.5, 0.7, 0.25, 20.0]]))
     assert "route_states" not in inputs  # of which every anchor gets one
-
-
-def test_routes_are_dealt_out_in_turn() -> None:
-    several = scenes(x_goal=[X_GOAL, [0.05, 1.8, 0, 0]])
-    means = prior_means(several, 5)
-    assert means.shape == (2, 5, 64, 7)
-    for scene, mean in zip(several, means, strict=True):
-        routes = scene.route_states
-        for n in range(5):
-            np.testing.assert_array_equal(mean[n], routes[n % len(routes)])
 
 
 def test_what_has_no_scene_axis_is_the_same_in_every_scene() -> None:

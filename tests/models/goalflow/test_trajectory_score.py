@@ -22,7 +22,6 @@ from anchorflow_models.goalflow.trajectory_score import (
     SHARP,
     Rules,
     Surroundings,
-    _speeds,
     judge,
     met,
     outcome_scores,
@@ -161,11 +160,6 @@ def test_progress_is_the_share_of_the_way_that_a_clear_road_allows(
 def test_a_missed_goal_costs_by_its_distance(missed: float, share: float) -> None:
     free = score("progress", driven(20.0), 10.0, missed=missed)
     assert free == pytest.approx(share, rel=1e-3)
-
-
-def test_speeds_are_those_at_the_poses() -> None:
-    speeds = _speeds(driven(5.0, pull=2.0), dt=DT)[0, 0]
-    torch.testing.assert_close(speeds, 5.0 + 2.0 * DT * torch.arange(1.0, T + 1))
 
 
 def outcome(

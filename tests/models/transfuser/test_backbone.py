@@ -55,15 +55,6 @@ def test_the_bev_hears_both_sensors(changed: str) -> None:
 
 
 @torch.no_grad()
-def test_scenes_do_not_touch_one_another() -> None:
-    network, (camera, lidar) = backbone(), sensors()
-    alone = network(camera[1:], lidar[1:])
-    other = network(torch.stack([255 - camera[0], camera[1]]), lidar)
-    torch.testing.assert_close(other.features[1:], alone.features, rtol=1e-5, atol=1e-5)
-    torch.testing.assert_close(other.upscaled[1:], alone.upscaled, rtol=1e-5, atol=1e-5)
-
-
-@torch.no_grad()
 def test_what_lies_ahead_on_the_left_is_in_the_first_row_and_column() -> None:
     network = backbone(replace(SMALL, fusion_layers=0))
     for fusion in network.fusions:  # nothing is mixed, so a place stays a place

@@ -10,14 +10,11 @@ import numpy as np
 import pytest
 import torch
 from flowmp_scenes import open_branches
-from small_configs import WOTE
 from tiny_wote import AHEAD, TINY, sensors, tiny_wote
 from torch import Tensor
 
 from anchorflow_models.transfuser import placed
 from anchorflow_models.wote import WoTE, WoteConfig
-
-BACKBONE = AHEAD.backbone
 
 Place = tuple[float, float]
 
@@ -49,19 +46,6 @@ def standing(*places: Place) -> Tensor:
     for half, place in zip(poses.chunk(len(places)), places, strict=True):
         half[..., :2] = torch.tensor(place)
     return poses
-
-
-@torch.inference_mode()
-def test_the_shapes() -> None:
-    model = planner()
-    context = model.encode(**sensors(AHEAD))
-    assert model.context_for_score == ("bev_tokens", "ego", "bev_fine", "foretold")
-    assert context["bev_tokens"].shape == (2, BACKBONE.bev_size**2, AHEAD.width)
-    assert context["bev_fine"].shape == (2, 32, 32, 4)
-    assert context["foretold"].shape == (2, len(AHEAD.foretold_times), 20 + 32, 32)
-    assert context["bev_semantics"].shape == (2, 3, 64, 128)
-    scored = model.score(*(context[name] for name in model.context_for_score))
-    assert scored["scores"].shape == (2, 12)
 
 
 @pytest.mark.parametrize(
@@ -105,19 +89,6 @@ def test_rewards_look_where_a_car_drives_that_follows_an_anchor() -> None:
 
 
 @torch.inference_mode()
-def test_tokens_lie_where_the_ego_will_be() -> None:
-    """Three of eight rows farther ahead: the ego is in the second row from behind."""
-    size = BACKBONE.bev_size
-    here, there = planner()._cells()
-    rows = here.nonzero().flatten() // size
-    assert rows.tolist() == [7 * size // 8]
-    assert AHEAD.bev_ahead == 24.0
-    ends = planner().anchors[:, -1, 0]
-    expected = ((56.0 - ends) / 64.0 * size).floor().clamp(0, size - 1)
-    assert torch.equal((there[:, 0].argmax(-1) // size).float(), expected)
-
-
-@torch.inference_mode()
 def test_the_picture_moves_tokens_and_fine_cells() -> None:
     model, inputs = planner(), sensors(AHEAD, B=1)
     for name, weight in model.backbone.named_parameters():
@@ -151,13 +122,6 @@ def test_a_missing_context_is_named(config: WoteConfig, missing: str) -> None:
     context = model.encode(**sensors(config, B=1))
     with pytest.raises(ValueError, match=f"{missing}: expected"):
         model.score(*(context[name] for name in model.context_for_score[:-1]))
-
-
-def test_the_small_one_has_all() -> None:
-    assert WOTE.ground_sight
-    assert WOTE.encounters[:5] == WOTE.footprint
-    assert WOTE.foretold_times[-1] == 5.0
-    assert WOTE.driven
 
 
 def places_of(x: float, y: float, heading: float) -> list[list[float]]:

@@ -35,23 +35,6 @@ def scored(model: WoTE, context: dict[str, Tensor]) -> dict[str, Tensor]:
     return model.score(*(context[name] for name in model.context_for_score))
 
 
-def test_the_shapes() -> None:
-    shapes = {name: (*t.shape,) for name, t in answer(tiny_wote(), sensors()).items()}
-    assert shapes == {
-        "bev_tokens": (2, 16, 16),
-        "ego": (2, 16),
-        "bev_fine": (2, 8, 8, 4),
-        "agents": (2, 4, 5),
-        "agent_scores": (2, 4),
-        "bev_semantics": (2, 3, 16, 32),
-        "trajectories": (2, 12, 8, 3),
-        "scores": (2, 12),
-        "offsets": (2, 12, 8, 3),
-        "im_rewards": (2, 12),
-        "sim_rewards": (2, 12, 5),
-    }
-
-
 @pytest.mark.parametrize(
     "config", [replace(TINY, kept=5), replace(TINY, future_steps=3, kept=5), AHEAD, ALL_STEPS]
 )
