@@ -14,7 +14,6 @@ from anchorflow_training.data.scene_import import (
     ImportConfig,
     SceneOptions,
     import_scenes,
-    rounded_up,
 )
 from anchorflow_training.dataset import DTYPES, SceneDataset, open_dataset
 from anchorflow_trajectory.cost.clearance import clearance_field
@@ -129,13 +128,6 @@ def test_limits_are_the_data_s_or_the_caller_s(tmp_path: Path) -> None:
     scenes = imported(path, tmp_path / "out", v_max=1.5, a_max=4.0)
     assert (scenes.limits.v_max, scenes.limits.a_max) == (1.5, 4.0)
     assert scenes.meta["over_limits"] == 2
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"), [(2.0, 2.1), (13.37, 14.0), (0.5, 0.51), (99.0, 110.0), (0.0, 0.001)]
-)
-def test_rounding_up(value: float, expected: float) -> None:
-    assert rounded_up(value) == pytest.approx(expected)
 
 
 def test_samples_that_do_not_fit_their_map_are_left_out(tmp_path: Path) -> None:
@@ -306,12 +298,6 @@ def test_what_the_file_does_not_say_is_asked_for(tmp_path: Path) -> None:
     dataset = TrajectoryDataset(tmp_path / "b.npz", resolution=0.02)
     with pytest.raises(DatasetError, match=r"b\.npz: no sample is left.*'off_map': 1"):
         import_scenes(dataset, tmp_path / "out")
-
-
-def test_a_synthetic_dataset_can_be_trained_on(tmp_path: Path) -> None:
-    meta = import_scenes(SyntheticTrajectoryDataset("bezier", 4), tmp_path / "out")
-    assert meta["source"] == {"file": "synthetic-bezier"}
-    assert len(open_dataset(tmp_path / "out")) == 4
 
 
 def test_samples_that_all_stand_still_are_refused(tmp_path: Path) -> None:

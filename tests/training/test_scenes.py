@@ -117,10 +117,3 @@ def test_each_layout_leaves_ground_free(family: str) -> None:
         covered.append(filled.mean())
     assert min(covered) < 0.97
     assert family == "empty" or max(covered) > 0.01
-
-
-def test_the_same_seed_draws_the_same_scene() -> None:
-    first, second = drawn(3), drawn(3)
-    for a, b in zip(first, second, strict=True):
-        np.testing.assert_array_equal(a.cost_map, b.cost_map)
-        np.testing.assert_array_equal(a.x_goal, b.x_goal)

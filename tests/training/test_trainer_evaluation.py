@@ -21,7 +21,6 @@ from anchorflow_training.evaluation import (
     States,
     flow_evaluator,
     judge,
-    sample,
     sample_picture,
     scores,
 )
@@ -67,46 +66,6 @@ def test_an_anchor_is_free_beyond_the_robots_radius(clearance: GridField) -> Non
     assert verdict.free.tolist() == [False, False, True, True, False]
     assert verdict.reached.tolist() == [False, False, True, False, False]
     assert verdict.success.tolist() == [False, False, True, False, False]
-
-
-@pytest.mark.parametrize(
-    ("speed", "acceleration", "feasible"),
-    [(2.0, 3.0, True), (2.1, 0.0, False), (0.5, 3.2, False)],
-)
-def test_an_anchor_is_feasible_within_both_limits(
-    speed: float, acceleration: float, feasible: bool, clearance: GridField
-) -> None:
-    position, velocity, accelerations = straight_lines(y=[1.0])
-    states = position, 0 * velocity, 0 * accelerations
-    states[1][0, 10, 0], states[2][0, 20, 1] = speed, acceleration
-    verdict = judge(states, clearance, x_goal=np.array([2, 1, 0, 0], np.float32), limits=LIMITS)
-    assert verdict.feasible.tolist() == [feasible]
-
-
-def test_the_sampler_is_of_second_order() -> None:
-    """On dx/dt = x the midpoint rule's error falls fourfold where the step is halved."""
-
-    class Growth:
-        def encode(self) -> dict[str, torch.Tensor]:
-            return {}
-
-        def draw(self, noise: torch.Tensor, mean: torch.Tensor, _: object) -> torch.Tensor:
-            return mean + noise
-
-        def modulate(self, times: torch.Tensor, _: object) -> torch.Tensor:
-            return times[None]
-
-        def field(self, x: torch.Tensor, *_: object) -> torch.Tensor:
-            return x
-
-    half = torch.full((1, 1, 1, 1), 0.5, dtype=torch.float64)
-    model: object = Growth()
-    ends = [
-        sample(model, {}, half, half, steps=steps).item()  # type: ignore[arg-type]
-        for steps in (8, 16)
-    ]
-    errors = [np.e - end for end in ends]
-    assert 3.6 < errors[0] / errors[1] < 4.4
 
 
 def test_judged_anchors_meet_both_ends_and_are_always_the_same(tiny_dataset: SceneDataset) -> None:

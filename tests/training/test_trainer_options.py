@@ -15,7 +15,6 @@ from anchorflow_training.batches import FlowBatchConfig, draw_batch
 from anchorflow_training.config import FlowMatchingConfig, TrainerConfig
 from anchorflow_training.dataset import SceneDataset, open_dataset
 from anchorflow_training.objective import draw_flow_times
-from anchorflow_training.record import Row
 from anchorflow_training.settings import ConfigError, build, merged, nested
 from anchorflow_training.trainer import CFMTrainer
 
@@ -96,25 +95,9 @@ def test_the_option_changes_what_is_learnt(
     assert any(not torch.allclose(ours, theirs, rtol=1e-4, atol=1e-8) for ours, theirs in pairs)
 
 
-def test_steps_and_report_every(fit: Make) -> None:
-    run = fit(steps=4, report_every=2)
-    assert [row["step"] for row in run.curve] == [2, 4]
-
-
 def test_a_report_is_the_mean_of_its_steps(base: CFMTrainer, fit: Make) -> None:
     run = fit(report_every=2)
     np.testing.assert_allclose(losses(run), [np.mean(losses(base))], rtol=1e-5)
-
-
-def test_checkpoint_every(make: Make) -> None:
-    run = make(steps=3, checkpoint_every=2)
-    seen: dict[int, bool] = {}
-
-    def report(step: int, _: Row) -> None:
-        seen[step] = run.checkpoint_path.exists()
-
-    run.fit(report)
-    assert seen == {1: False, 2: False, 3: True}  # a report precedes its step's checkpoint
 
 
 def test_ema_decay_zero_is_the_weights_themselves(fit: Make) -> None:

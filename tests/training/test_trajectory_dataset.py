@@ -167,16 +167,6 @@ def test_a_seed_fixes_the_order_of_every_epoch() -> None:
     assert len(last["positions"]) == 8
 
 
-def test_workers_read_the_same(tmp_path: Path) -> None:
-    path = saved(tmp_path / "p.npz", positions=parabolas(), dt=0.1)
-    dataset = TrajectoryDataset(path)
-    alone, helped = (
-        torch.cat([b["positions"] for b in create_dataloader(dataset, 4, workers=workers)])
-        for workers in (0, 1)
-    )
-    torch.testing.assert_close(alone, helped)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_synthetic_derivatives_belong_together(kind: str, dim: int) -> None:

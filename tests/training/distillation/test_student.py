@@ -10,7 +10,7 @@ import torch
 
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_training.distillation.objective import NormalisedFlow, start_states
-from anchorflow_training.distillation.teacher import Teacher, begin_as, check_student, kept_blocks
+from anchorflow_training.distillation.teacher import Teacher, begin_as, check_student
 from anchorflow_training.settings import ConfigError
 
 Inputs = dict[str, torch.Tensor]
@@ -51,13 +51,6 @@ def test_a_shorter_student_is_the_teacher_without_some_blocks(
     )
     torch.testing.assert_close(own, expected, rtol=1e-4, atol=1e-4)
     assert not torch.allclose(own, taught, atol=1e-2)
-
-
-@pytest.mark.parametrize(
-    ("of", "keep", "kept"), [(4, 2, [0, 3]), (4, 1, [0]), (6, 3, [0, 2, 5]), (8, 8, [*range(8)])]
-)
-def test_kept_blocks_are_spread_evenly(of: int, keep: int, kept: list[int]) -> None:
-    assert kept_blocks(of, keep) == kept
 
 
 @pytest.mark.parametrize(
