@@ -1,37 +1,24 @@
 """The compiled loops of the finish, in float32 as the service runs them, each lane on its own.
 
-What they compute in float64 is proven by tests/trajectory/cost and by `test_descent.py`.
+What they compute is proven by tests/trajectory/cost, `test_descent.py` and `test_certificate.py`.
 """
 
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pytest
 
-from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
-from anchorflow_trajectory.finish.certificate import CHECK_STEP, are_safe, path_clearance, verify
+from anchorflow_trajectory.finish.certificate import are_safe, path_clearance, verify
 from anchorflow_trajectory.finish.descent import descend
 from anchorflow_trajectory.spline.basis import Splines
 from anchorflow_trajectory.spline.kernels import LANES
 
 MANY = 2 * LANES + 3
-
-
-def plain_clearance(field: GridField, path: np.ndarray) -> float:
-    """The smallest along a polyline [T, 2], followed leg by leg."""
-    points = [path[-1:]]
-    for start, end in pairwise(path):
-        pieces = max(1, int(np.ceil(np.linalg.norm(end - start) / CHECK_STEP)))
-        share = np.arange(pieces, dtype=np.float32) / np.float32(pieces)
-        points.append(start + share[:, None] * (end - start))
-    x, y = np.concatenate(points).T
-    return float(field.sample(x, y).min())
 
 
 @pytest.fixture
@@ -65,30 +52,6 @@ def test_the_cost_and_its_gradient_in_float32_are_those_in_float64(
     for found, expected in zip((single[0], *single[1]), (wide[0], *wide[1]), strict=True):
         assert (found.dtype, expected.dtype) == (np.float32, np.float64)
         np.testing.assert_allclose(found, expected, rtol=2e-5, atol=2e-5 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("tether", [0.0, 0.2])
-def test_descents_in_float32_are_those_in_float64(
-    problem: TrajectoryCost, stage: Any, tether: float
-) -> None:
-    start = disturbed(stage, MANY)
-    single, wide = (
-        descend(problem, each, stage.moving, steps=12, rate=0.12, tether=tether)
-        for each in (disturbed(stage, MANY, np.float32), start)
-    )
-    assert np.abs(wide.control - start.control).max() > 0.3
-    np.testing.assert_allclose(single.control, wide.control, atol=1e-4, rtol=0)
-    np.testing.assert_allclose(single.duration, wide.duration, atol=1e-4, rtol=0)
-
-
-@pytest.mark.parametrize(("dtype", "atol"), [(np.float64, 1e-12), (np.float32, 1e-5)])
-def test_the_clearance_of_a_path(stage: Any, dtype: type, atol: float) -> None:
-    splines = disturbed(stage, 20, dtype, spread=1.5)
-    position, _, _ = stage.basis.states(splines)
-    field = stage.fields().clearance
-    found = path_clearance(field, position)
-    plain = [plain_clearance(field, path) for path in position.astype(np.float64)]
-    np.testing.assert_allclose(found, plain, atol=atol, rtol=0)
 
 
 @pytest.mark.parametrize("certified", [0.0, 0.1])
