@@ -118,6 +118,19 @@ def test_the_second_window_sees_twice_as_far(options: dict) -> None:
         assert torch.equal(base, other) != sees
 
 
+def test_each_window_is_looked_up_where_the_trajectory_is() -> None:
+    """Tables that hold the metric place of each cell return the places."""
+    model, scene = make_model(map_scales=2, feature_channels=0), make_scene()
+    frame = Frame.between(scene["x_curr"][:, :2], scene["x_goal"][:, :2])
+    tables = {
+        name: frame.widened(width).window(64).unflatten(1, (64, 64))
+        for name, width in model.windows.items()
+    }
+    places = frame.centre[:, None] + torch.tensor([[0.5, -1.0], [-1.5, 0.7]])
+    seen = model._seen(frame.place(places), tables)
+    torch.testing.assert_close(seen, torch.cat([places, places], -1), atol=1e-5, rtol=0)
+
+
 @pytest.mark.parametrize("shape", [(16, 40), (97, 50)])
 def test_maps_of_any_size_are_resampled(shape: tuple[int, int]) -> None:
     """A ramp across 8 m of map, in any cells, is the same ramp across the window."""

@@ -43,6 +43,14 @@ def test_a_scan_turns_with_the_robot_and_ends_at_its_range(world: Callable[..., 
     assert not behind.hits.any()  # the other post is out of range
 
 
+def test_noise_has_the_spread_that_was_asked_for(world: Callable[..., World]) -> None:
+    lidar = Lidar(0.001, beams=2000, noise=0.02)
+    scan = lidar.scan(world([(3.0, 0.0)]), np.zeros(3), np.random.default_rng(0))
+
+    assert scan.ranges.std() == pytest.approx(0.02, rel=0.1)
+    assert scan.ranges.mean() == pytest.approx(2.9, abs=0.002)
+
+
 LIDAR = Lidar(2 * np.pi, noise=0.0)
 AHEAD = Lidar(np.pi, noise=0.0)
 

@@ -129,6 +129,15 @@ def test_a_path_is_followed_to_its_end(robot: Robot) -> None:
     assert float(robot.speed(states).max()) <= 1.0 + 1e-5
 
 
+def test_a_unicycle_turns_on_the_spot_to_a_path_behind_it() -> None:
+    line = torch.stack([-torch.linspace(0.0, 2.0, 64), torch.zeros(64)], 1)[None]
+    start = Unicycle().start(np.zeros(3))
+    _, states = motions_along(Unicycle(), line, start, steps=60, dt=0.1, speed=1.0)
+
+    assert float(states[0, :, 1].abs().max()) < 0.25
+    assert float(states[0, -1, 0]) < -1.5
+
+
 @pytest.mark.parametrize("robot", BOTH)
 def test_the_states_are_those_that_the_controls_bring_about(robot: Robot) -> None:
     paths = torch.randn(3, 64, 2, generator=torch.Generator().manual_seed(1)).cumsum(1) * 0.05

@@ -245,6 +245,21 @@ def test_the_fine_scorer_looks_where_a_car_drives_that_follows_a_candidate() -> 
     torch.testing.assert_close(after["coarse_scores"], before["coarse_scores"])
 
 
+@torch.inference_mode()
+def test_what_the_lidar_strikes_lies_at_its_place_of_the_road_ahead() -> None:
+    perception, backbone = planner().perception, SMALL.backbone
+    inputs = sensors()
+    cells = torch.zeros(1, backbone.bev_size**2, SMALL.width)
+    upscaled = torch.zeros(1, backbone.bev_channels, 64, 64)
+    struck = upscaled.clone()
+    struck[:, :, 2, 10] = 5.0  # 29.5 m ahead and 21.5 m to the left
+    before, after = (
+        perception._joined(cells, each, inputs["camera"], inputs["ego_status"])
+        for each in (upscaled, struck)
+    )
+    assert (after - before)[0].norm(dim=0).argmax() == (2 + 24) * 64 + 10
+
+
 def met_by(candidates: Tensor, *, at_s: float, ahead: int = 6) -> Tensor:
     """[M]: the change of candidates [M, T, 3] by an obstacle `ahead` m away at one time."""
     torch.manual_seed(0)

@@ -89,6 +89,19 @@ def test_rewards_look_where_a_car_drives_that_follows_an_anchor() -> None:
 
 
 @torch.inference_mode()
+def test_tokens_lie_where_the_ego_will_be() -> None:
+    """Three of eight rows farther ahead: the ego is in the second row from behind."""
+    size = AHEAD.backbone.bev_size
+    here, there = planner()._cells()
+    rows = here.nonzero().flatten() // size
+    assert rows.tolist() == [7 * size // 8]
+    assert AHEAD.bev_ahead == 24.0
+    ends = planner().anchors[:, -1, 0]
+    expected = ((56.0 - ends) / 64.0 * size).floor().clamp(0, size - 1)
+    assert torch.equal((there[:, 0].argmax(-1) // size).float(), expected)
+
+
+@torch.inference_mode()
 def test_the_picture_moves_tokens_and_fine_cells() -> None:
     model, inputs = planner(), sensors(AHEAD, B=1)
     for name, weight in model.backbone.named_parameters():
