@@ -20,23 +20,28 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import onnx
+import pytest
 import tiny_wote
 import torch
+from command_line import succeed
 from flowmp_scenes import open_branches
 from small_v2x import small_sizes, small_v2x
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import nn
 
 from anchorflow_client.contract import EIGHT_STEP_SCHEDULE, SamplerChoice
-from anchorflow_export.adapter import ExportChoices
+from anchorflow_export.adapter import ExportChoices, PlannerAdapter
 from anchorflow_export.bundle import BundleDescription, export_bundle
 from anchorflow_export.futures import add_futures
 from anchorflow_export.parity import Difference
 from anchorflow_export.planners import adapter_of
+from anchorflow_export.tracing import TracedGraph
 from anchorflow_models import L2Config, create_l2_safety_cfm
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
 from anchorflow_models.goalflow import BevLayout, GoalFlowConfig, create_goalflow, ways
-from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_training.checkpoint import load_checkpoint, save_checkpoint
 from anchorflow_trajectory.motion import MotionLimits
 
 ROOT = Path(__file__).parents[2]
@@ -154,6 +159,27 @@ def export_once(network: str) -> Exported:
     code that it comes from changes.
     """
     return _exported(network, ROOT / ".pytest_cache" / "exported" / _digest())
+
+
+def export_as_traced(
+    made: Exported, checkpoint: Path, out: Path, *options: str, monkeypatch: pytest.MonkeyPatch
+) -> Path:
+    """Export a checkpoint by the command, with weights and graphs of a small network's bundle.
+
+    To trace graphs anew takes a minute.
+    """
+    saved, weights = load_checkpoint(checkpoint), made.network.state_dict()
+    config = {**saved.config, "model": asdict(made.network.config)}
+    save_checkpoint(checkpoint, replace(saved, config=config, model=weights, average=weights))
+    bundle = load_bundle(made.path)
+    traced = {
+        role: TracedGraph(onnx.load(bundle.graph_path(role)), graph.inputs, graph.outputs)
+        for role, graph in bundle.manifest.graphs.items()
+    }
+    monkeypatch.setattr(PlannerAdapter, "trace", lambda _: traced)
+    with patch.multiple(ways, **UNROLLED):
+        succeed("export", checkpoint, *options, "--out", out)
+    return out
 
 
 @cache

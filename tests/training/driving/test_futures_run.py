@@ -1,4 +1,4 @@
-"""The network that predicts the others learns a made-up bend, in steps that can be resumed."""
+"""The network that predicts the others learns a made-up bend, from the nearest mode alone."""
 
 from __future__ import annotations
 
@@ -8,56 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from training_runs import assert_same_weights, resumed_and_whole
+from driving_runs import FUTURES as CONFIG
 
-from anchorflow_models.futures import FuturesConfig, FuturesNetwork
-from anchorflow_training.batches import MirroredBatchConfig
-from anchorflow_training.checkpoint import load_checkpoint, restore_model
-from anchorflow_training.config import HeldOutConfig
+from anchorflow_models.futures import FuturesNetwork
 from anchorflow_training.driving.futures_run import (
     FuturesObjective,
     FuturesObjectiveConfig,
     FuturesRun,
-    FuturesRunConfig,
 )
 from anchorflow_training.driving.windows import DrivingWindows
-from anchorflow_training.planners import TRAININGS
-
-CONFIG = FuturesRunConfig(
-    steps=2,
-    warmup=0,
-    report_every=1,
-    checkpoint_every=1,
-    tensorboard=False,
-    accelerator="cpu",
-    learning_rate=3e-3,
-    batch=MirroredBatchConfig(scenes=3),
-    evaluation=HeldOutConfig(held_out=1, scenes=1),
-    model=FuturesConfig(width=16, map_channels=4),
-)
-
-
-def test_it_is_trained_by_its_name_on_the_raster_that_is_drawn(windows: DrivingWindows) -> None:
-    assert TRAININGS["futures"].run is FuturesRun
-    settings = FuturesRun.model_settings(windows)
-    assert FuturesConfig(**{**settings, "bev": FuturesConfig().bev}) == FuturesConfig()
-    assert settings["bev"] == vars(FuturesConfig().bev)
-
-
-def test_a_run_is_judged_and_its_checkpoint_restored(
-    windows: DrivingWindows, tmp_path: Path
-) -> None:
-    run = FuturesRun(CONFIG, windows, tmp_path)
-    run.fit()
-    assert isinstance(restore_model(load_checkpoint(tmp_path / "checkpoint.pt")), FuturesNetwork)
-    assert 0.0 <= run.evaluations[-1]["success"] <= 1.0
-    assert run.evaluations[-1]["min_ade_m"] < 40.0
-
-
-def test_a_resumed_run_is_the_whole_one(windows: DrivingWindows, tmp_path: Path) -> None:
-    config = replace(CONFIG, steps=4, checkpoint_every=2)
-    resumed, whole = resumed_and_whole(lambda name: FuturesRun(config, windows, tmp_path / name))
-    assert_same_weights(resumed.model, whole.model)
 
 
 def test_it_learns_the_bend(windows: DrivingWindows, tmp_path: Path) -> None:

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-import onnx
 import pytest
 from command_line import failure, succeed
-from exported_bundles import GOALFLOW, UNROLLED, export_once
+from exported_bundles import GOALFLOW, export_as_traced, export_once
 
 from anchorflow_driving.errors import LogError
-from anchorflow_export.adapter import PlannerAdapter
-from anchorflow_export.tracing import TracedGraph
-from anchorflow_models.goalflow import ways
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
-from anchorflow_training.checkpoint import load_checkpoint, restore_model, save_checkpoint
+from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.driving.feature_windows import open_features
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
 from anchorflow_training.settings import build
@@ -96,20 +91,11 @@ def test_a_command_trains_what_is_exported_and_served(
     small = ((f"--model.{name.replace('_', '-')}", value) for name, value in SMALL.items())
     words = ["--steps", 2, "--scenes", 4, "--held-out", 3, "--no-tensorboard", *chain(*small)]
     succeed("train", features, "--planner", "goalflow", "--out", tmp_path, *words)
-    path, bundle = tmp_path / "checkpoint.pt", tmp_path / "bundle"
-    saved, made = load_checkpoint(path), export_once("goalflow")
-    assert restore_model(saved).config == replace(GOALFLOW, outcomes=False)
-    config, weights = {**saved.config, "model": asdict(GOALFLOW)}, made.network.state_dict()
-    save_checkpoint(path, replace(saved, config=config, model=weights, average=weights))
-    shown = load_bundle(made.path)
-    traced = {
-        role: TracedGraph(onnx.load(shown.graph_path(role)), graph.inputs, graph.outputs)
-        for role, graph in shown.manifest.graphs.items()
-    }
-    monkeypatch.setattr(PlannerAdapter, "trace", lambda _: traced)
-    with patch.multiple(ways, **UNROLLED):
-        succeed("export", path, "--goal-inputs", "--out", bundle)
-    card, wanted = load_bundle(bundle).card, shown.card
+    path, made = tmp_path / "checkpoint.pt", export_once("goalflow")
+    assert restore_model(load_checkpoint(path)).config == replace(GOALFLOW, outcomes=False)
+    options = tmp_path / "bundle", "--goal-inputs"
+    bundle = export_as_traced(made, path, *options, monkeypatch=monkeypatch)
+    card, wanted = load_bundle(bundle).card, load_bundle(made.path).card
     assert card == replace(wanted, **{each: getattr(card, each) for each in OF_THE_RUN})
     first = arrays(0)
     inputs = {"bev": first["bev"], "ego_status": first["ego"], "vehicle_size": [4.6, 1.9]}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from driving_runs import GOALFLOW as CONFIG
 from training_runs import assert_same_weights, changed_since, copied_weights, resumed_and_whole
 
 from anchorflow_client.contract.batch import beside_route
@@ -16,58 +17,19 @@ from anchorflow_client.sensors import route_ahead
 from anchorflow_driving.log import read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
-from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
+from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.config import PACES
-from anchorflow_training.batches import SampledBatchConfig
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
-from anchorflow_training.config import HeldOutConfig
-from anchorflow_training.driving.goalflow_objective import GoalFlowObjectiveConfig
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.proposals import PER_WAY, proposals
 from anchorflow_training.driving.windows import DrivingWindows
-from anchorflow_training.planners import TRAININGS
 from anchorflow_training.settings import ConfigError
-
-CONFIG = GoalFlowRunConfig(
-    steps=2,
-    warmup=0,
-    report_every=1,
-    checkpoint_every=1,
-    tensorboard=False,
-    accelerator="cpu",
-    learning_rate=3e-3,
-    batch=SampledBatchConfig(scenes=3, samples=4),
-    evaluation=HeldOutConfig(held_out=1, scenes=1),
-    model=GoalFlowConfig(goals=16, picked=5, width=32, channels=8, feature_channels=4),
-    objective=GoalFlowObjectiveConfig(scored=12),
-)
-
-
-def test_it_is_trained_by_its_name_on_the_raster_that_is_drawn(windows: DrivingWindows) -> None:
-    training = TRAININGS["goalflow"]
-
-    assert training.config is GoalFlowRunConfig
-    assert GoalFlowRun.model_settings(windows)["bev"] == vars(GoalFlowConfig().bev)
-
-
-def test_a_run_is_judged_and_its_checkpoint_restored(
-    windows: DrivingWindows, tmp_path: Path
-) -> None:
-    run = GoalFlowRun(CONFIG, windows, tmp_path)
-    run.fit()
-
-    restored = restore_model(load_checkpoint(tmp_path / "checkpoint.pt"))
-    assert isinstance(restored, GoalFlow)
-    torch.testing.assert_close(restored.vocabulary, run.model.vocabulary)
-    torch.testing.assert_close(restored.stray, run.model.stray)
-    assert 0.0 <= run.evaluations[-1]["success"] <= 1.0
-    assert run.evaluations[-1]["best_ade_m"] < 20.0
 
 
 def test_plans_may_end_earlier(windows: DrivingWindows, tmp_path: Path) -> None:
     """Six poses over 3 s."""
-    short = replace(CONFIG, model=replace(CONFIG.model, num_steps=6))
+    short = replace(CONFIG, steps=1, model=replace(CONFIG.model, num_steps=6))
     run = GoalFlowRun(short, windows, tmp_path)
     run.fit()
     whole = GoalFlowRun(CONFIG, windows, tmp_path / "whole")
@@ -92,16 +54,6 @@ def test_all_that_is_judged_may_stand(
     assert run.evaluate(run.model)[0] == {"success": 0.0, "best_ade_m": 1.0}
 
 
-def test_a_batch_is_the_same_whenever_it_is_asked_for(
-    windows: DrivingWindows, tmp_path: Path
-) -> None:
-    run = GoalFlowRun(CONFIG, windows, tmp_path)
-    first, again = run.batch(3), list(run.stream([2, 3]))[1]
-
-    for name, array in first.items():
-        np.testing.assert_array_equal(again[name], array)
-
-
 def test_the_vocabulary_lies_where_the_data_end(windows: DrivingWindows, tmp_path: Path) -> None:
     goals = GoalFlowRun(CONFIG, windows, tmp_path).model.vocabulary.numpy()
 
@@ -117,7 +69,7 @@ def test_the_vocabulary_lies_where_the_data_end(windows: DrivingWindows, tmp_pat
 @pytest.fixture(scope="module")
 def before(windows: DrivingWindows, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("flow")
-    GoalFlowRun(CONFIG, windows, out).fit()
+    GoalFlowRun(replace(CONFIG, steps=1), windows, out).fit()
     return out / "checkpoint.pt"
 
 
@@ -154,7 +106,6 @@ def test_proposals_are_judged_by_the_scorer_and_kept(
 def test_the_scorer_alone_learns_and_goes_on_where_it_stopped(
     windows: DrivingWindows, config: GoalFlowRunConfig, before: Path, tmp_path: Path
 ) -> None:
-    config = replace(config, steps=3)
     again, whole = resumed_and_whole(lambda name: GoalFlowRun(config, windows, tmp_path / name))
     assert_same_weights(again.model, whole.model)
     start = copied_weights(GoalFlowRun(config, windows, tmp_path / "start").model)
@@ -208,10 +159,6 @@ def test_a_reflected_window_has_its_proposals_reflected(
         (
             {"model": replace(CONFIG.model, outcomes=True, num_steps=6)},
             r"model\.num_steps: expected 8, for the PDM score of the stage outcomes, got 6",
-        ),
-        (
-            {"batch": SampledBatchConfig(scenes=64, samples=4)},
-            r"batch.scenes: expected at most \d+, the windows of",
         ),
     ],
 )

@@ -2,58 +2,39 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from command_line import failure, succeed
 from drawn_bend import drawn
-from exported_bundles import NETWORKS, SENSING, UNROLLED, export_once
-from training_runs import assert_same_weights, changed_since, copied_weights, resumed_and_whole
+from driving_runs import SENSORS as CONFIG
+from exported_bundles import NETWORKS, SENSING, export_as_traced, export_once
+from training_runs import changed_since, copied_weights
 
 from anchorflow_driving.window import Window
-from anchorflow_export.adapter import PlannerAdapter
 from anchorflow_export.planners.random_requests import street_request
-from anchorflow_export.tracing import TracedGraph
-from anchorflow_models.goalflow import GoalFlowConfig, SensorGoalFlow, ways
+from anchorflow_models.goalflow import GoalFlowConfig
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.local import LocalClient
-from anchorflow_training.batches import SampledBatchConfig, batch_scenes
+from anchorflow_training.batches import batch_scenes
 from anchorflow_training.checkpoint import (
     Checkpoint,
     load_checkpoint,
     restore_model,
     save_checkpoint,
 )
-from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows
 from anchorflow_training.driving.augmentation import AugmentationConfig
 from anchorflow_training.driving.goalflow_objective import GoalFlowObjectiveConfig
-from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
+from anchorflow_training.driving.goalflow_run import GoalFlowRun
 from anchorflow_training.driving.sensor_windows import Drawn, SensorSizes
 from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.pretrained import sight_of
 from anchorflow_training.settings import ConfigError, config_text
-
-CONFIG = GoalFlowRunConfig(
-    steps=4,
-    warmup=0,
-    report_every=1,
-    checkpoint_every=2,
-    tensorboard=False,
-    accelerator="cpu",
-    learning_rate=3e-3,
-    batch=SampledBatchConfig(scenes=3, samples=4),
-    evaluation=HeldOutConfig(held_out=1, scenes=1),
-    model=replace(SENSING, bev=GoalFlowConfig().bev, num_steps=8),
-    objective=GoalFlowObjectiveConfig(scored=12),
-    augmentation=AugmentationConfig(moved=0.0),
-)
 
 
 def shown(window: Window, sizes: SensorSizes) -> Drawn:
@@ -66,14 +47,6 @@ def shown(window: Window, sizes: SensorSizes) -> Drawn:
 @pytest.fixture(autouse=True)
 def _shown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sensor_windows, "sensed", shown)
-
-
-def test_a_run_is_judged_resumed_and_restored(windows: DrivingWindows, tmp_path: Path) -> None:
-    again, whole = resumed_and_whole(lambda name: GoalFlowRun(CONFIG, windows, tmp_path / name))
-    assert_same_weights(again.model, whole.model)
-    assert isinstance(restore_model(load_checkpoint(whole.checkpoint_path)), SensorGoalFlow)
-    assert whole.data["sensors"] == "simulated"
-    assert whole.evaluations[-1]["best_ade_m"] < 20.0
 
 
 def test_pictures_are_of_their_window_and_are_reflected_with_it(
@@ -136,19 +109,9 @@ def test_a_command_trains_what_is_exported_and_served(
     (tmp_path / "small.yaml").write_text(config_text(replace(CONFIG, steps=2)))
     succeed("data", "sensors", folder, "--config", tmp_path / "small.yaml")
     succeed("train", folder, "--config", tmp_path / "small.yaml", "--out", tmp_path)
-    path, bundle = tmp_path / "checkpoint.pt", tmp_path / "bundle"
-    saved, made = load_checkpoint(path), export_once("goalflow-sensors")
-    assert restore_model(saved).config == CONFIG.model
-    config, weights = {**saved.config, "model": asdict(SENSING)}, made.network.state_dict()
-    save_checkpoint(path, replace(saved, config=config, model=weights, average=weights))
-    shipped = load_bundle(made.path)
-    traced = {
-        role: TracedGraph(onnx.load(shipped.graph_path(role)), graph.inputs, graph.outputs)
-        for role, graph in shipped.manifest.graphs.items()
-    }
-    monkeypatch.setattr(PlannerAdapter, "trace", lambda _: traced)
-    with patch.multiple(ways, **UNROLLED):
-        succeed("export", path, "--out", bundle)
+    path, made = tmp_path / "checkpoint.pt", export_once("goalflow-sensors")
+    assert restore_model(load_checkpoint(path)).config == CONFIG.model
+    bundle = export_as_traced(made, path, tmp_path / "bundle", monkeypatch=monkeypatch)
     opened = load_bundle(bundle)
     assert opened.manifest.training["data"]["sensors"] == "simulated"
     names = ["camera", "lidar", "ego_status", "lidar_before", "vehicle_size", "route"]

@@ -9,14 +9,13 @@ import pytest
 from driven_bend import SPEED, bend
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.errors import LogError
 from anchorflow_driving.sensors.bev import BEV, draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving import augmentation
 from anchorflow_training.driving.anchors import clustered, read_goals, read_points
 from anchorflow_training.driving.augmentation import AugmentationConfig, disturbed, poses_on
-from anchorflow_training.driving.windows import SPACING, DrivingWindows, open_windows
+from anchorflow_training.driving.windows import SPACING, DrivingWindows
 from anchorflow_training.settings import ConfigError
 
 
@@ -41,11 +40,6 @@ def test_the_course_is_what_was_driven(windows: DrivingWindows) -> None:
     np.testing.assert_allclose(poses_on(course, along)[:, 2], driven[:, 2], atol=0.03)
     # It follows the route evenly beyond the record.
     np.testing.assert_allclose(np.linalg.norm(np.diff(course, axis=0), axis=1), SPACING, rtol=0.05)
-
-
-def test_a_folder_without_logs_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"expected logs \(\*.npz\), found none"):
-        open_windows(tmp_path)
 
 
 def test_a_mirrored_window_is_the_window_of_the_mirrored_bend(windows: DrivingWindows) -> None:

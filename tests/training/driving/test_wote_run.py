@@ -1,4 +1,4 @@
-"""WoTE learns from logs: sensors and scores kept beside them, steps that can be gone on with."""
+"""WoTE learns from logs: sensors and scores kept beside them, and what a run begins with."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import pytest
 import torch
 from drawn_bend import drawn
 from driven_bend import bend
+from driving_runs import WOTE as CONFIG
 from numpy.typing import NDArray
-from tiny_wote import TINY
-from training_runs import assert_same_weights, changed_since, copied_weights, resumed_and_whole
+from training_runs import changed_since, copied_weights
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
@@ -28,27 +28,14 @@ from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, res
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows, wote_run
 from anchorflow_training.driving.anchors import anchor_scores, examples_of, pdms, trajectory_anchors
-from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
-from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
-from anchorflow_training.planners import TRAININGS
+from anchorflow_training.driving.wote_run import WoteRun
 from anchorflow_training.settings import ConfigError
 
-MODEL = replace(TINY, semantic_classes=len(CLASSES))
+MODEL = CONFIG.model
 SIZES = SensorSizes(16, 32, 32, 32.0)
 TOLD = partial(drawn, agents=MODEL.agents)
-CONFIG = WoteRunConfig(
-    steps=4,
-    warmup=0,
-    report_every=1,
-    checkpoint_every=2,
-    tensorboard=False,
-    accelerator="cpu",
-    batch=MirroredBatchConfig(scenes=2),
-    evaluation=HeldOutConfig(held_out=1, scenes=1, every=2),
-    model=MODEL,
-)
 
 
 @pytest.fixture
@@ -220,13 +207,6 @@ def test_anchors_are_centres_of_what_was_driven() -> None:
     np.testing.assert_allclose(anchors, kinds, atol=0.05)
 
 
-def test_a_run_goes_on_as_if_it_had_not_stopped(logs: list[Path], tmp_path: Path) -> None:
-    again, whole = resumed_and_whole(lambda name: WoteRun(CONFIG, logs, tmp_path / name))
-    assert_same_weights(again.model, whole.model)
-    row = again.evaluations[-1]
-    assert 0 <= row["success"] <= row["pdms_of_the_best"] <= 1
-
-
 def test_a_run_goes_on_with_other_weights_of_its_rewards(logs: list[Path], tmp_path: Path) -> None:
     """They decide what is chosen and nothing of what is learnt; a network's width is another."""
     WoteRun(replace(CONFIG, steps=1), logs, tmp_path).fit()
@@ -249,7 +229,7 @@ def test_a_checkpoint_brings_back_its_anchors(logs: list[Path], tmp_path: Path) 
 
 
 def test_a_run_begins_with_the_perception_of_another(logs: list[Path], tmp_path: Path) -> None:
-    first = WoteRun(CONFIG, logs, tmp_path / "first")
+    first = WoteRun(replace(CONFIG, steps=1), logs, tmp_path / "first")
     first.fit()
     saved = tmp_path / "first" / "checkpoint.pt"
     other = replace(CONFIG, perception=str(saved), model=replace(MODEL, width=MODEL.width * 2))
@@ -288,9 +268,6 @@ def test_a_frozen_perception_stays_as_it_is(logs: list[Path], tmp_path: Path) ->
 
 
 def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
-    many = replace(CONFIG, batch=MirroredBatchConfig(scenes=99))
-    with pytest.raises(ConfigError, match=r"batch.scenes: expected at most \d+, .* got 99"):
-        WoteRun(many, logs, tmp_path)
     all_held_out = replace(CONFIG, evaluation=HeldOutConfig(held_out=99))
     with pytest.raises(
         ConfigError, match=r"evaluation.held_out: expected less than \d+, .* got 99"
@@ -299,7 +276,6 @@ def test_what_does_not_fit_is_named(logs: list[Path], tmp_path: Path) -> None:
     hasty = replace(CONFIG, model=replace(MODEL, dt=0.1))
     with pytest.raises(ConfigError, match=r"model.dt: expected 0.5, as the logs have, got 0.1"):
         WoteRun(hasty, logs, tmp_path)
-    assert TRAININGS["wote"].config is WoteRunConfig
 
 
 def test_a_log_without_windows_is_passed_over(logs: list[Path], tmp_path: Path) -> None:

@@ -46,19 +46,6 @@ def refined(
     return Refiner(scene, 20).refine(states, np.zeros(ANCHORS, np.intp), SPEC)
 
 
-@pytest.mark.parametrize(
-    ("turns", "width", "size"), [(1, 1.0, 25.6), (2, 1.5, 25.6), (1, 1.5, 51.2), (2, 3.0, 51.2)]
-)
-def test_a_corridor_is_turned_in(turns: int, width: float, size: float) -> None:
-    occupied, start, goal = corridor(turns, width=width, size=size)
-
-    anchors = refined(occupied, start, goal, MotionLimits(2.0, 3.0))
-
-    assert anchors.safe.all()
-    np.testing.assert_allclose(anchors.positions[:, 0], np.tile(start, (ANCHORS, 1)), atol=1e-4)
-    np.testing.assert_allclose(anchors.positions[:, -1], np.tile(goal, (ANCHORS, 1)), atol=1e-4)
-
-
 def serpentine(lanes: int, *, width: float) -> tuple[np.ndarray, ...]:
     """Lanes of 8 m above one another, joined at their ends by turns."""
     wall, w, cells = round(0.2 / RESOLUTION), round(width / RESOLUTION), round(9.0 / RESOLUTION)
@@ -75,8 +62,19 @@ def serpentine(lanes: int, *, width: float) -> tuple[np.ndarray, ...]:
     return occupied, np.array([left, low]), np.array([9.0 - left if lanes % 2 else left, high])
 
 
-def test_more_corners_than_eighteen_control_points_hold() -> None:
-    occupied, start, goal = serpentine(6, width=1.0)
+@pytest.mark.parametrize(
+    "way",
+    [
+        corridor(1, width=1.0, size=25.6),
+        corridor(2, width=1.5, size=25.6),
+        corridor(1, width=1.5, size=51.2),
+        corridor(2, width=3.0, size=51.2),
+        serpentine(6, width=1.0),  # more corners than eighteen control points hold
+    ],
+    ids=["a turn", "two turns", "a large turn", "two large turns", "six lanes"],
+)
+def test_a_corridor_is_turned_in(way: tuple[np.ndarray, ...]) -> None:
+    occupied, start, goal = way
 
     anchors = refined(occupied, start, goal, MotionLimits(2.0, 3.0))
 
@@ -87,34 +85,26 @@ def test_more_corners_than_eighteen_control_points_hold() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x_curr", "x_goal", "v_max", "a_max"),
+    ("x_curr", "x_goal", "motion"),
     [
-        ([20.0, 25.0, 5.4, 0.0], [30.0, 25.0], 6.0, 3.0),
-        ([20.0, 25.0, -1.8, 0.0], [22.0, 25.0], 2.0, 0.5),
-        ([20.0, 25.0], [30.0, 25.0, -4.5, 0.0], 5.0, 4.0),
+        ([20.0, 25.0, 5.4, 0.0], [30.0, 25.0], MotionLimits(6.0, 3.0)),
+        ([20.0, 25.0, -1.8, 0.0], [22.0, 25.0], MotionLimits(2.0, 0.5)),
+        ([20.0, 25.0], [30.0, 25.0, -4.5, 0.0], MotionLimits(5.0, 4.0)),
+        # Who must turn round within a horizon takes long steps.
+        ([20.0, 25.0, -5.0, 0.0], [40.0, 25.0], MotionLimits(5.0, 4.0, horizon_s=8.0)),
+        ([20.0, 25.0, -5.0, 0.0], [40.0, 25.0], MotionLimits(5.0, 4.0, horizon_s=25.0)),
     ],
 )
 def test_who_is_fast_and_heavy_brakes(
-    x_curr: list[float], x_goal: list[float], v_max: float, a_max: float
+    x_curr: list[float], x_goal: list[float], motion: MotionLimits
 ) -> None:
     free = np.zeros((500, 500), np.float32)
 
-    anchors = refined(free, np.array(x_curr), np.array(x_goal), MotionLimits(v_max, a_max))
+    anchors = refined(free, np.array(x_curr), np.array(x_goal), motion)
 
     assert anchors.safe.all()
     velocity = np.pad(np.array(x_curr[2:]), (0, 4 - len(x_curr)))
     np.testing.assert_allclose(anchors.velocities[:, 0], np.tile(velocity, (ANCHORS, 1)), atol=1e-3)
-
-
-@pytest.mark.parametrize("horizon_s", [8.0, 25.0])
-def test_who_must_turn_round_within_a_horizon_takes_long_steps(horizon_s: float) -> None:
-    free = np.zeros((500, 500), np.float32)
-    away = np.array([20.0, 25.0, -5.0, 0.0])
-
-    motion = MotionLimits(5.0, 4.0, horizon_s=horizon_s)
-    anchors = refined(free, away, np.array([40.0, 25.0]), motion)
-
-    assert anchors.safe.all()
 
 
 @pytest.mark.parametrize(
