@@ -8,11 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 from hypothesis import settings
-
-from anchorflow_client import Payload
 
 # A deadline judges the machine that a test happens to share, not the code.
 settings.register_profile("anchorflow", deadline=None)
@@ -87,33 +84,3 @@ def _until(condition: Callable[[], object]) -> None:
     while not condition():
         assert time.monotonic() < deadline, "it does not come about"
         time.sleep(0.005)
-
-
-@pytest.fixture(scope="session")
-def mutated() -> Callable[[Payload, np.random.Generator], Payload]:
-    """Damages a binary body: a few bytes changed, removed, doubled or put in.
-
-    The header length is changed sometimes as well.
-    """
-    return _mutated
-
-
-def _mutated(payload: Payload, generator: np.random.Generator) -> Payload:
-    body, length = bytearray(payload.body), payload.header_length or 0
-    for _ in range(generator.integers(1, 3)):
-        # Half of the hits go to the header, which is what a reader might believe.
-        end = length if generator.random() < 0.5 else len(body)
-        at = int(generator.integers(0, max(min(end, len(body)), 1)))
-        run = int(generator.integers(1, 9))
-        match generator.integers(0, 6):
-            case 0:
-                body[at : at + run] = generator.bytes(run)
-            case 1:
-                del body[at : at + run]
-            case 2:
-                body[at:at] = body[at : at + run]
-            case _:  # the likeliest: one character of JSON for another
-                body[at : at + 1] = b'0123456789-,:[]{}"ex.\x00\xff'[run : run + 1]
-    if generator.random() < 0.2:
-        length += int(generator.integers(-70, 70))
-    return Payload(bytes(body), length)

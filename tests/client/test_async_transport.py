@@ -157,21 +157,6 @@ async def test_pending_requests_fail_at_close(turns: int) -> None:
         assert await get(transport) == b"ok"
 
 
-async def test_a_request_on_a_kept_connection_fails_at_close() -> None:
-    async with serving() as (server, transport):
-        server.may_answer.set()
-        await get(transport)
-        server.may_answer.clear()
-        asked = asyncio.ensure_future(get(transport))
-        for _ in range(2):
-            await server.asked.acquire()
-        await transport.aclose()
-        server.may_answer.set()
-        with pytest.raises(ConnectionFailed, match="closed"):
-            await asked
-        assert server.connections == 1
-
-
 async def test_a_header_cannot_end_its_line() -> None:
     async with serving() as (server, transport):
         with pytest.raises(ValueError, match=r"^Authorization: expected printable ASCII"):

@@ -72,11 +72,6 @@ def test_an_answer_of_an_older_service_has_no_routes() -> None:
         batch().top_k(0)
 
 
-def test_its_arrays_cannot_be_written() -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        batch().trajectories[0, 0, 0] = 1.0
-
-
 @pytest.mark.parametrize(
     ("field", "shape"), [("velocities", (3, 4, 3)), ("scores", (2,)), ("trajectories", (3, 4))]
 )

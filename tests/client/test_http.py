@@ -213,6 +213,7 @@ STRANGE_URLS = [
     "http://",
     "http://robot:port",
     "http://robot:0",
+    "http://[::1",
     "http://robot..de",
     f"http://{'robot' * 13}.de",
 ]

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from anchorflow_client import AnchorRequest, InvalidRequest, Obstacles
-from anchorflow_client.codec import JsonCodec
-from anchorflow_client.oip_codec import OipCodec
 
 PLACE = {"position": [[1.0, 2.0], [3.0, 4.0]], "radius": [0.3, 0.1]}
 CONSTANT = PLACE | {"velocity": [[1.0, 0.0], [0.0, -2.0]]}
@@ -35,21 +33,6 @@ def test_the_scenes_of_a_batch_share_what_moves(
             assert array.dtype == np.float64
             assert not array.flags.writeable
         assert (read.forecast_dt, read.growth) == (given.get("forecast_dt"), 0.0)
-
-
-@pytest.mark.parametrize("motion", [{"velocity": []}, {"forecast": [], "forecast_dt": 0.4}])
-@pytest.mark.parametrize("position", [[], np.zeros((0, 2))])
-@pytest.mark.parametrize("codec", [JsonCodec(), OipCodec()])
-def test_nobody_in_sight_is_told_too(
-    fields: dict[str, Any], motion: dict[str, Any], position: Any, codec: JsonCodec | OipCodec
-) -> None:
-    fields["obstacles"] = {"position": position, "radius": [], **motion}
-
-    payload = codec.encode_request(AnchorRequest.from_fields(fields))
-    read = codec.decode_request(payload).obstacles
-
-    assert read is not None
-    assert read.position.shape == (0, 2)
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,6 @@ REQUEST = pack({"id": "r1", "parameters": {"seed": 1, "num_samples": 4}}, "input
 
 Header = dict[str, Any]
 Edit = Callable[[Header], object]
-Mutate = Callable[[Payload, np.random.Generator], Payload]
 ANSWER = CODEC.encode_answer(
     made_batch(np.arange(12, dtype=F32).reshape(2, 3, 2), safe=[True, False])
 )
@@ -177,15 +176,6 @@ def test_a_missing_tensor_is_refused(index: int) -> None:
     assert refusal(edited(REQUEST, lambda header: header["inputs"].pop(index))).field
 
 
-def test_tensors_that_share_bytes_are_refused() -> None:
-    """There are no offsets to lie with: what overlaps is bytes that are missing at the end."""
-    _, data = split(REQUEST)
-
-    error = refusal(edited(REQUEST, lambda _: None, data[: len(data) - 48]))
-
-    assert error.field == "cost_map"
-
-
 def test_bytes_that_no_tensor_declares_are_refused() -> None:
     error = refusal(Payload(REQUEST.body + b"\0", REQUEST.header_length))
 
@@ -227,17 +217,6 @@ def test_a_header_that_is_no_json_object_is_refused(header: bytes, words: str) -
     assert error.field == "header"
     assert words in error.message
     assert_invalid_answer(joined(header, b""), "header")
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0, 2.0])
-def test_costs_outside_their_range_are_refused(value: float) -> None:
-    cost_map = np.zeros((1, 16, 20), F32)
-    cost_map[0, 3, 4] = value
-
-    error = refusal(pack({}, "inputs", TENSORS | {"cost_map": cost_map}))
-
-    assert error.field == "cost_map.data"
-    assert "cost_map.data[0][3][4]" in error.message
 
 
 def test_numbers_that_are_not_finite_are_refused_by_tensor() -> None:
@@ -290,8 +269,30 @@ def test_an_answer_of_strange_numbers_is_invalid() -> None:
     assert_invalid_answer(Payload(swapped, length), "not finite")
 
 
+def mutated(payload: Payload, generator: np.random.Generator) -> Payload:
+    """Change, remove, double or insert a few bytes, and sometimes change the header length."""
+    body, length = bytearray(payload.body), payload.header_length or 0
+    for _ in range(generator.integers(1, 3)):
+        # Half of the hits go to the header, which is what a reader might believe.
+        end = length if generator.random() < 0.5 else len(body)
+        at = int(generator.integers(0, max(min(end, len(body)), 1)))
+        run = int(generator.integers(1, 9))
+        match generator.integers(0, 6):
+            case 0:
+                body[at : at + run] = generator.bytes(run)
+            case 1:
+                del body[at : at + run]
+            case 2:
+                body[at:at] = body[at : at + run]
+            case _:  # the likeliest: one character of JSON for another
+                body[at : at + 1] = b'0123456789-,:[]{}"ex.\x00\xff'[run : run + 1]
+    if generator.random() < 0.2:
+        length += int(generator.integers(-70, 70))
+    return Payload(bytes(body), length)
+
+
 @pytest.mark.parametrize("seed", range(4))
-def test_mutated_bodies_are_read_or_refused(seed: int, mutated: Mutate) -> None:
+def test_mutated_bodies_are_read_or_refused(seed: int) -> None:
     generator = np.random.default_rng(seed)
     outcomes = {"request read": 0, "answer read": 0, "answer refused": 0}
     fields: list[str | None] = []

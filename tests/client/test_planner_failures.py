@@ -67,18 +67,6 @@ def test_pauses_grow_while_the_server_is_lost() -> None:
     )
 
 
-def test_a_server_may_be_lost_for_hours() -> None:
-    """2,000 doublings of a wait are more than a float holds."""
-    stage = Stage(PlannerConfig(max_age_ms=10.0, period_ms=1.0, longest_retry_ms=100.0))
-    for _ in range(2000):
-        stage.update()
-        stage.fail(ConnectionFailed("nobody listens"))
-        stage.update()
-        stage.now += 0.1
-
-    assert stage.planner.counts["failed"] == 2000
-
-
 def test_an_overloaded_service_is_left_alone_for_as_long_as_it_says(stage: Stage) -> None:
     stage.update()
     stage.fail(Overloaded("too many", retry_after_s=3.0))
@@ -88,17 +76,6 @@ def test_an_overloaded_service_is_left_alone_for_as_long_as_it_says(stage: Stage
     assert stage.waiting == []
     stage.now += 0.1
     stage.update()
-    assert len(stage.waiting) == 1
-
-
-def test_after_a_refusal_the_next_observation_is_sent(stage: Stage) -> None:
-    stage.update(cost_map=np.ones((16, 16)))
-    stage.answer()  # refused by the client: the robot is inside an obstacle
-    stage.now += 0.1
-    plan = stage.update()
-
-    assert isinstance(plan.last_error, InvalidRequest)
-    assert stage.requests == []
     assert len(stage.waiting) == 1
 
 
@@ -119,6 +96,7 @@ def test_after_a_refusal_the_next_observation_is_sent(stage: Stage) -> None:
         ({"cost_map": [[0.0, 0.0], [0.0]]}, "cost_map.data"),
         ({"cost_map": np.full((16, 16), np.nan)}, "cost_map.data"),
         ({"cost_map": None}, "cost_map"),
+        ({"cost_map": np.ones((16, 16))}, "cost_map.data"),  # no room for a goal
         ({"seed": "a"}, "seed"),
         ({"cost_map": Tensor()}, "cost_map.data"),
         ({"cost_map": {"data": Tensor(), "resolution": 0.5}, "resolution": None}, "cost_map.data"),

@@ -12,7 +12,7 @@ from staged_planner import Stage, made_batch
 from anchorflow_client import AnchorBatch, CostMap, Obstacles, PlannerConfig
 from anchorflow_client.planner.plan import why_unsafe
 from anchorflow_client.planner.request import AnchorInUse
-from anchorflow_client.planner.routes import Commitment, Progress, Routes, landmarks, signatures
+from anchorflow_client.planner.routes import Commitment, Progress, Routes, landmarks
 
 STEPS = 33
 RESOLUTION = 0.1
@@ -53,15 +53,6 @@ def test_every_obstacle_has_a_landmark_and_open_ground_none() -> None:
     np.testing.assert_allclose(
         landmarks(CostMap.build(data, RESOLUTION)), [[-2.95, -2.95], [-1.95, 2.05]], atol=1e-6
     )
-
-
-def test_a_loop_round_a_point_is_told_from_a_way_past_it() -> None:
-    circle = np.linspace(0.0, 2.0 * np.pi, 50)
-    loop = np.stack([np.cos(circle), np.sin(circle)], 1)
-    there_and_back = np.stack([np.abs(circle - np.pi) - np.pi, 0.0 * circle], 1)
-    counted = signatures(np.stack([loop, there_and_back]), np.zeros((1, 2)))
-    assert abs(int(counted[0, 0])) == 1
-    assert counted[1, 0] == 0
 
 
 def test_a_path_that_begins_and_ends_elsewhere_finds_its_route() -> None:

@@ -135,13 +135,6 @@ def falling(times: np.ndarray) -> np.ndarray:
     return np.stack([t, t**2, zero + 1, 2 * t, zero, zero + 2], axis=-1)
 
 
-@pytest.mark.parametrize("steps", [0, 5])
-def test_whole_steps_move_the_samples_up(steps: int) -> None:
-    times = SAMPLE_S * np.arange(20)
-    later = shifted(falling(times), dt=SAMPLE_S, elapsed_s=steps * SAMPLE_S)
-    np.testing.assert_allclose(later[:15], falling(times + steps * SAMPLE_S)[:15], atol=1e-12)
-
-
 @given(st.floats(0.0, 0.9))
 def test_between_samples_the_error_is_that_of_a_chord(elapsed_s: float) -> None:
     times = SAMPLE_S * np.arange(20)

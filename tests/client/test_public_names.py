@@ -20,7 +20,7 @@ from anchorflow_client import (
     RetryingClient,
     resample,
 )
-from anchorflow_client.errors import AbsentError, UsageError
+from anchorflow_client.errors import UsageError
 
 
 def run(program: str) -> subprocess.CompletedProcess[str]:
@@ -67,10 +67,3 @@ def test_misuse_is_in_the_one_tree(misuse: Callable[[], object]) -> None:
         misuse()
     assert isinstance(raised.value, AnchorFlowError)
     assert isinstance(raised.value, ValueError)
-
-
-def test_what_a_planner_does_not_give_is_absent() -> None:
-    batch = made_batch()
-    with pytest.raises(AbsentError, match="gives none"):
-        batch._given("goal_scores")
-    assert issubclass(AbsentError, LookupError)

@@ -130,18 +130,6 @@ def test_another_error_is_raised_at_once(
     assert (len(stage.sent), stage.slept) == (1, [])
 
 
-def test_a_proxys_error_is_retried(retrying: Retrying, fields: dict[str, Any]) -> None:
-    class Proxy(Stage):
-        def send(self, *sent: Any, **_: Any) -> HttpAnswer:
-            answer = super().send(*sent)
-            return (502, {}, b"<html>") if len(self.sent) == 1 else answer
-
-    stage = Proxy(NotReady(""), failures=0)
-
-    assert retrying(stage).plan(**fields).seed == 3
-    assert len(stage.sent) == 2
-
-
 @pytest.mark.parametrize("draw", [0.0, 0.5, 1.0])
 def test_pauses_double_up_to_the_longest_and_are_drawn_from_their_upper_half(
     retrying: Retrying, draw: float, fields: dict[str, Any]

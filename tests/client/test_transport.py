@@ -351,12 +351,3 @@ def test_a_refusal_is_read_while_the_body_is_being_sent(serve: Serve) -> None:
     transport.close()
 
     assert (status, body) == (413, b"no")
-
-
-@pytest.mark.parametrize(
-    "url", ["nonsense", "http://127.0.0.1:abc", "http://127.0.0.1:70000", "http://[::1"]
-)
-def test_a_url_of_no_service_is_named(url: str) -> None:
-    with pytest.raises(ValueError, match="expected http://host") as caught:
-        Address.of(url)
-    assert f"got {url!r}" in str(caught.value)

@@ -46,12 +46,19 @@ def test_no_bytes_break_the_readers(data: bytes) -> None:
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"{", "expected JSON, got text that breaks at position 1 of 1"),
-        (b"9" * 5000, "expected the contract's JSON, got an integer of too many digits"),
+        (b"{", ": expected JSON, got text that breaks at position 1 of 1"),
+        (b"9" * 5000, ": expected the contract's JSON, got an integer of too many digits"),
+        (b"[1]", ": expected an object, got a list of 1"),
+        (b"[" * 20_000, ": "),
+        (b'{"robot": 1}', ".robot: unknown field"),
+        (b'{"header_length": -1}', ".header_length: expected an integer .* got -1"),
+        (b'{"header_length": 1.5}', ".header_length: expected an integer .* got 1.5"),
+        (b'{"budget_ms": 0}', ".budget_ms: expected .* got 0"),
+        (b'{"request_id": 3}', ".request_id: expected a string, got 3"),
     ],
 )
-def test_what_cannot_be_read_is_refused_in_plain_words(data: bytes, words: str) -> None:
-    with pytest.raises(InvalidRequest, match=f"^attachment: {words}"):
+def test_what_is_no_requests_attachment_is_refused_by_name(data: bytes, words: str) -> None:
+    with pytest.raises(InvalidRequest, match=f"^attachment{words}"):
         RequestAttachment.from_bytes(data)
 
 

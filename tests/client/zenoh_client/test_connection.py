@@ -30,22 +30,6 @@ from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorCl
 from anchorflow_client.zenoh_client.network import Background, Connection
 from anchorflow_client.zenoh_messages import ReplicaInfo
 
-
-def test_callbacks_run_at_and_after_the_cancellation() -> None:
-    cancellation, called = Cancellation(), []
-
-    with cancellation.watched_by(lambda: called.append("inside")):
-        assert not cancellation.is_cancelled
-        cancellation.cancel()
-        assert called == ["inside"]
-    with cancellation.watched_by(lambda: called.append("later")):
-        assert called == ["inside", "later"]
-    cancellation.cancel()
-
-    assert cancellation.is_cancelled
-    assert called == ["inside", "later"]
-
-
 PATIENCE_S = 20.0
 AT_ONCE_S = 4.0
 """Less than zenoh's own timeout."""
@@ -249,16 +233,6 @@ def test_the_next_caller_gets_an_unclaimed_result() -> None:
 
     assert background.result(Deadline(PATIENCE_S)) == 1
     assert background.result(Deadline(PATIENCE_S)) == 2
-
-
-def test_an_error_is_raised_for_the_caller() -> None:
-    def fail() -> None:
-        raise ConnectionFailed("nobody is there")
-
-    background = Background(fail, name="failing")
-    for _ in range(2):
-        with pytest.raises(ConnectionFailed, match="nobody is there"):
-            background.result(Deadline(PATIENCE_S))
 
 
 def test_concurrent_callers_share_one_call_and_may_give_up() -> None:

@@ -53,6 +53,18 @@ def test_a_refusal_of_the_second_replica_leads_to_the_third(
     assert peer.asked == ["a", "b", "c"]
 
 
+def test_replicas_that_hang_are_asked_in_turn_within_the_budget(
+    peer: Any, network: Network, card: ModelCard, info: Info, until: Any
+) -> None:
+    for milliseconds, name in enumerate("ab", start=1):
+        peer.play(info(name, card, mean_service_ms=milliseconds), peer.hold)
+    until(lambda: len(network.replicas.alive()) == 2 and not network.replicas.unknown())
+
+    with pytest.raises(TimedOut, match="within 2000 ms; asked a, b"):
+        ask(network, Deadline(2.0))
+    assert peer.asked == ["a", "b"]
+
+
 def test_a_pending_info_is_awaited_before_the_default_is_given_up(
     peer: Any, network: Network, card: ModelCard, info: Info, until: Any
 ) -> None:

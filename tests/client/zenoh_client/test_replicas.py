@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from anchorflow_client import Cancellation, Cancelled, ModelCard, TimedOut, UnknownModel
+from anchorflow_client import ModelCard, TimedOut, UnknownModel
 from anchorflow_client.cancellation import Deadline
 from anchorflow_client.zenoh_client.replicas import Replicas
 from anchorflow_client.zenoh_messages import Load, ReplicaInfo
@@ -156,43 +155,6 @@ def test_old_infos_are_queried_again_and_awaited(
     clock.now += 0.5
     assert replicas.to_be_queried() == []
     assert replicas.to_be_queried(fresh_s=0.0) == ["a", "b"]
-
-
-def test_waits_end_at_their_deadline_or_before(
-    replicas: Replicas, card: ModelCard, info: Info
-) -> None:
-    alone, start = Replicas(), time.monotonic()
-    alone.wait_until_known(Deadline(10.0), appear_s=0.05)
-    assert time.monotonic() - start >= 0.05
-    alone.appear("a")
-    alone.wait_until_known(Deadline(0.05), appear_s=10.0)
-    assert replicas.wait_until_gone(["a", "z"], Deadline(0.01)) == ["a"]
-    assert time.monotonic() - start < 5
-
-    threading.Timer(0.05, alone.learn, [info("a", card)]).start()
-    alone.wait_until_known(Deadline(20.0), appear_s=0.0)
-    assert chosen(alone)[0] == "a"
-    threading.Timer(0.05, replicas.vanish, ["a"]).start()
-    assert replicas.wait_until_gone(["a", "z"], Deadline(20.0)) == []
-
-
-WAITS: dict[str, Callable[[Replicas, Deadline], object]] = {
-    "known": lambda replicas, deadline: replicas.wait_until_known(deadline, appear_s=0.0),
-    "queries": Replicas.wait_for_queries,
-    "change": lambda replicas, deadline: replicas.wait_for_change((), deadline),
-    "gone": lambda replicas, deadline: replicas.wait_until_gone("a", deadline),
-}
-
-
-@pytest.mark.parametrize("wait", WAITS)
-def test_a_cancelled_request_waits_no_longer(wait: str) -> None:
-    replicas, cancellation = Replicas(), Cancellation()
-    replicas.appear("a")
-    assert replicas.to_be_queried() == ["a"]
-    threading.Timer(0.05, cancellation.cancel).start()
-
-    with pytest.raises(Cancelled):
-        WAITS[wait](replicas, Deadline(20.0, cancellation))
 
 
 def test_threads_see_one_state(replicas: Replicas) -> None:

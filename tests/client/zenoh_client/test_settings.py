@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from anchorflow_client import ConnectionFailed
@@ -152,9 +151,3 @@ def test_a_timeout_out_of_range_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=f"timeout_s: {words}"):
         kind(ENDPOINT, timeout_s=seconds)
-
-
-def test_a_time_may_be_a_number_of_numpy() -> None:
-    timeout_s: Any = np.float32(5)
-    with ZenohAnchorClient("tcp/127.0.0.1:1", timeout_s=timeout_s) as client:
-        assert not client.live()
