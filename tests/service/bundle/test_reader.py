@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-import onnx
 import pytest
 
 from anchorflow_service.bundle import BundleError, load_bundle
@@ -80,11 +79,6 @@ def test_what_is_no_file_is_named(tiny_bundle: Path, name: str, make: Edit) -> N
     assert caught.value.file == tiny_bundle / name
 
 
-def test_no_folder_at_all(tmp_path: Path) -> None:
-    with pytest.raises(BundleError, match=r"manifest\.json: cannot be read: No such file"):
-        load_bundle(tmp_path / "nowhere")
-
-
 def test_a_truncated_manifest(tiny_bundle: Path) -> None:
     file = tiny_bundle / "manifest.json"
     file.write_bytes(file.read_bytes()[:100])
@@ -96,15 +90,9 @@ def test_a_truncated_manifest(tiny_bundle: Path) -> None:
     ("path", "value", "message"),
     [
         ("format", 1, "format: expected 2, got 1: export its checkpoint anew with"),
-        ("format", "2", "format: Input should be 2"),
         ("time.steps", "8", r"time\.steps: Input should be a valid integer"),
         ("time.dt", 0.5, r"time\.dt is 0\.5, expected horizon_s / \(steps - 1\) = 1\.0"),
         ("time.first_s", 0.5, r"time\.first_s is 0\.5, expected 0 beside a cost map"),
-        (
-            "conditioning.limits.v_max",
-            -1.0,
-            r"cost_map\.limits\.v_max: Input should be greater than 0",
-        ),
         ("conditioning.limits.horizon_s", None, r"ranges\.horizon_s is missing, expected least"),
         ("time.dt", None, r"time\.dt is null, expected 1\.0 s"),
         (
@@ -123,14 +111,12 @@ def test_a_truncated_manifest(tiny_bundle: Path) -> None:
             r"ranges\.v_max is .*, without limits\.v_max = 2",
         ),
         ("conditioning.ranges", {"mass": [1, 2]}, r"ranges\.mass\.\[key\]: Input should be"),
-        ("conditioning.ranges", {"v_max": [1]}, r"ranges\.v_max\.1: Field required"),
         (
             "answer.extras",
             [{"name": "dt", "dtype": "float32", "shape": ["B", "N"]}],
             r"answer\.extras: 'dt' is a name that every answer has",
         ),
         ("conditioning.kind", "words", "conditioning: Input tag 'words' found using 'kind'"),
-        ("finish.kind", "clothoid", "finish: Input tag 'clothoid' found using 'kind'"),
         ("answer.arrays", ["speeds"], "answer.arrays: 'speeds' is none of velocities"),
         ("request.inputs.1.shape", [6], r"x_curr has shape \[6\], expected B first"),
         (
@@ -142,7 +128,6 @@ def test_a_truncated_manifest(tiny_bundle: Path) -> None:
         ("graphs.field.file", "../field.onnx", r"graphs\.field\.file"),
         ("sampler.method", "rk45", "unknown method 'rk45'"),
         ("sampler.schedule", [0.0, 0.9], "strictly rising to 1"),
-        ("sampler.kind", "ddim", "sampler: Input tag 'ddim' found using 'kind'"),
     ],
 )
 def test_a_wrong_manifest_names_the_field(
@@ -187,8 +172,3 @@ def test_bytes_that_are_no_graph_are_refused(tiny_bundle: Path, edit_manifest: E
     edit_manifest("graphs.field.sha256", to=digest)
     with pytest.raises(BundleError, match=r"field\.onnx: onnxruntime cannot open it"):
         open_graph(load_bundle(tiny_bundle), "field")
-
-
-def test_the_tiny_graphs_are_valid_onnx(tiny_bundle: Path) -> None:
-    for file in tiny_bundle.glob("*.onnx"):
-        onnx.checker.check_model(onnx.load(file), full_check=True)

@@ -130,23 +130,6 @@ def test_backwards_is_driven_where_it_is_allowed(engine: Engine) -> None:
     assert abs(anchors.trajectories[best, -1, 2]) < 0.3
 
 
-@pytest.mark.parametrize("aside", [0.6, -0.6])
-def test_a_car_parks_backwards_and_can_be_driven_open_loop(engine: Engine, aside: float) -> None:
-    start, goal = (0.5, 0.0, 0.0), (-1.0, aside, 0.0)
-    anchors = asked(
-        engine, FREE, start, goal, footprint=CAR, kinematics=DRIVES | {"reverse": True},
-        goal_tolerance={"position": 0.1, "heading": 0.1},
-    )  # fmt: skip
-    assert_driven(anchors, FREE, CAR)
-    best = anchors.best
-    path, velocity = anchors.trajectories[best], anchors.velocities[best]
-    speed = np.abs(ahead(path, velocity))
-    assert (np.abs(velocity[:, 2]) <= 1.03 * speed / RADIUS + 1e-6).all()
-    assert (speed[[0, -1]] < 1e-6).all()
-    end = driven(path, velocity, float(anchors.durations[best]))
-    np.testing.assert_allclose(end, goal, atol=0.05)
-
-
 @pytest.mark.parametrize("seed", [2, 5, 18])
 def test_a_car_parks_in_a_gap_and_parks_on_while_it_moves(engine: Engine, seed: int) -> None:
     at = bodies.parking(np.random.default_rng([seed, 7]))
@@ -158,6 +141,7 @@ def test_a_car_parks_in_a_gap_and_parks_on_while_it_moves(engine: Engine, seed: 
     speed = ahead(path, velocity)
     cusps = np.flatnonzero(np.diff(np.sign(np.where(np.abs(speed) > 0.02, speed, 0.0))))
     assert len(cusps)
+    assert np.abs(speed[[0, -1]]).max() < 1e-6
     end = driven(path, velocity, float(anchors.durations[best]))
     np.testing.assert_allclose(end, at.goal, atol=0.05)
     assert float(anchors.durations[best]) < 10.0  # no loop round the block

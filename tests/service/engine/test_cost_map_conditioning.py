@@ -85,40 +85,6 @@ def test_with_heading_the_map_sees_x_and_y_alone(tiny: Bundle, small_request: Bu
     np.testing.assert_allclose(own[:, [0, -1], 2], [[1.5, -9.0]] * 2, atol=1e-4)
 
 
-def test_far_from_zero_a_warm_start_and_what_moves_are_displaced_as_the_state_is(
-    tiny: Bundle, small_request: Build
-) -> None:
-    far = np.array([5000.0, -3000.0])
-    start, goal = far + np.array([[-3.0, 0.1], [3.0, 0.2]])
-    map_there = {"data": small_request().cost_map.data[0], "resolution": 0.5, "origin": far - 4.0}
-    there = small_request(
-        cost_map=map_there,
-        x_curr=[*start, 0.5, 0.0, 0.0, 0.0],
-        x_goal=[*goal, 0.0, 0.0],
-        warm_start={"trajectory": [start, goal], "tau": 0.7, "dt": 0.4},
-        obstacles={
-            "position": [start],
-            "velocity": [[1.0, 0.5]],
-            "radius": [0.3],
-            "forecast": [[goal, goal + 0.5]],
-            "forecast_dt": 0.2,
-        },
-    )
-
-    (scene,) = scenes(there, tiny)
-
-    warm_start = scene.request.warm_start
-    assert warm_start is not None
-    np.testing.assert_allclose(warm_start.trajectory, [[-3.0, 0.1], [3.0, 0.2]], atol=1e-8)
-    assert (warm_start.tau, warm_start.dt) == (0.7, 0.4)
-    obstacles = scene.request.obstacles
-    assert obstacles is not None
-    assert obstacles.forecast is not None
-    np.testing.assert_allclose(obstacles.position, [[-3.0, 0.1]], atol=1e-8)
-    np.testing.assert_allclose(obstacles.forecast, [[[3.0, 0.2], [3.5, 0.7]]], atol=1e-8)
-    np.testing.assert_array_equal(obstacles.velocity, [[1.0, 0.5]])
-
-
 def test_all_scenes_have_the_same_discs_and_none_without_obstacles(
     tiny: Bundle, small_request: Build
 ) -> None:

@@ -121,12 +121,6 @@ def test_it_plans_within_each_robots_limits(engine: Engine, v_max: float, a_max:
     assert np.median(fastest) > 0.3 * min(v_max, 3.0)
 
 
-def test_with_a_horizon_all_last_as_long_as_it(engine: Engine) -> None:
-    anchors = plan(engine, cluttered(horizon_s=12.0))
-    assert anchors.dt == pytest.approx(12.0 / 63)
-    assert anchors.safe.mean() > 0.8
-
-
 def test_anchors_take_both_gaps(anchors: AnchorBatch) -> None:
     at_wall = np.abs(anchors.trajectories[..., 0]).argmin(1)
     heights = anchors.trajectories[np.arange(64), at_wall, 1][anchors.safe]

@@ -24,12 +24,6 @@ def test_shapes_and_provenance(engine: Engine, small_request: Build) -> None:
     assert batch.model == engine.card.id
 
 
-def test_both_ends_are_met_after_smoothing(engine: Engine, small_request: Build) -> None:
-    batch = plan(engine, small_request(refine={"smooth": True}))
-    np.testing.assert_allclose(batch.trajectories[:, 0], [[-3.0, 0.1]] * 20, atol=1e-5)
-    np.testing.assert_allclose(batch.trajectories[:, -1], [[3.0, 0.2]] * 20, atol=1e-5)
-
-
 def test_states_come_as_sampled_where_refinement_is_off(
     tiny_bundle: Path, engine: Engine, small_request: Build
 ) -> None:

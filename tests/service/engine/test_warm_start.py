@@ -12,11 +12,9 @@ import numpy as np
 import pytest
 from asked_engine import AS_SAMPLED, FINISHED, Build
 
-from anchorflow_client.contract import AnchorRequest, WarmStart, resolve_for_card
-from anchorflow_client.errors import InvalidRequest
+from anchorflow_client.contract import AnchorRequest, resolve_for_card
 from anchorflow_service.bundle import load_bundle
 from anchorflow_service.engine.conditioning.cost_map import CostMapConditioning
-from anchorflow_service.engine.samplers.flow import renoised
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.warm_start import SLOWEST, warm_states
@@ -132,14 +130,6 @@ def test_six_columns_are_velocities_too_where_the_card_has_a_heading(
     expected = turning(8) * np.repeat(LASTS ** np.arange(3.0), 3)
     warm = got[on(1.0, turning_scene) == ROUTE][0]
     np.testing.assert_allclose(warm[:, :9], expected, atol=1e-4)
-
-
-@pytest.mark.parametrize("columns", [4, 5, 7, 8])
-def test_a_part_of_a_vector_is_refused(turning_scene: Scene, columns: int) -> None:
-    warm = WarmStart(np.zeros((8, columns)), tau=0.8)
-    with pytest.raises(InvalidRequest, match=rf"3, 6, 9 columns\), got {columns}") as caught:
-        renoised(warm, np.zeros((5, 8, 10), np.float32), ROUTE, turning_scene)
-    assert caught.value.field == "warm_start.trajectory"
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

@@ -11,8 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 from fastapi import FastAPI
 
-from anchorflow_service.http import create_app, exchanges
-from anchorflow_service.planning import PlanningService, ServiceLimits
+from anchorflow_service.http import exchanges
 
 MEBIBYTE = 2**20
 
@@ -39,18 +38,6 @@ class Megabytes:
 DECLARED = {"Content-Length": str(20 * MEBIBYTE)}
 
 
-@pytest.mark.parametrize("headers", [DECLARED, {}])
-def test_a_refused_body_is_read_so_that_the_client_sees_the_reason(
-    service: Any, headers: dict[str, str]
-) -> None:
-    body = Megabytes()
-
-    answer = service.request("POST", "/anchors", headers=headers, content=body)
-
-    assert_too_large(answer.status_code, answer.content)
-    assert body.taken == 20
-
-
 def test_a_refused_body_is_read_within_bounds(
     service: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -61,16 +48,6 @@ def test_a_refused_body_is_read_within_bounds(
 
     assert_too_large(answer.status_code, answer.content)
     assert body.taken == 3
-
-
-def test_the_limit_is_the_apps(run: Any, engine: Any, fields: dict[str, Any]) -> None:
-    limits = ServiceLimits(max_body_bytes=100)
-    service = run(create_app(PlanningService({"a": engine}, default="a", limits=limits)))
-
-    error = service.post(fields).json()["error"]
-
-    assert error["code"] == "too_large"
-    assert "at most 100 bytes" in error["message"]
 
 
 def declared(length: int) -> dict[str, Any]:

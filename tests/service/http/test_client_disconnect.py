@@ -13,7 +13,7 @@ from fastapi import FastAPI
 from straight_lines import SteppingEngine
 
 from anchorflow_service.http import create_app
-from anchorflow_service.planning import ANSWERED, CANCELLED, PlanningService, ServiceLimits
+from anchorflow_service.planning import CANCELLED, PlanningService, ServiceLimits
 
 PATIENCE_S = 20
 
@@ -54,27 +54,6 @@ def test_who_hangs_up_frees_the_engine_at_its_next_step(
     assert stepping.taken == 1
     assert outcomes.seen == [CANCELLED]
     assert planning.queue.in_flight == 0
-
-
-def test_who_hangs_up_in_the_queue_is_not_planned(
-    planning: PlanningService,
-    stepping: SteppingEngine,
-    outcomes: Any,
-    fields: dict[str, Any],
-    listen: Callable[[FastAPI], str],
-    until: Any,
-) -> None:
-    url, body = listen(create_app(planning)), json.dumps(fields).encode()
-    with post(url, "/anchors", body) as first:
-        assert stepping.at_work.acquire(timeout=PATIENCE_S)
-        with post(url, "/anchors", body):
-            until(lambda: planning.queue.in_flight == 2)
-        assert outcomes.heard.wait(PATIENCE_S)
-        stepping.steps.release(8)
-        assert b"200 OK" in first.recv(4096)
-
-    assert stepping.taken == 3
-    assert outcomes.seen == [CANCELLED, ANSWERED]
 
 
 def test_who_hangs_up_gives_the_place_of_a_replay_back(

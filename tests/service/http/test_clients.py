@@ -22,11 +22,10 @@ from anchorflow_client import (
     InternalError,
     InvalidRequest,
     JsonCodec,
-    TimedOut,
     UnknownModel,
 )
 from anchorflow_client.zenoh_client import AsyncZenohAnchorClient, ZenohAnchorClient
-from anchorflow_service.planning import CANCELLED, PlanningService
+from anchorflow_service.planning import PlanningService
 
 PATIENCE_S = 20
 
@@ -157,39 +156,3 @@ async def test_leaving_the_block_fails_pending_requests(
     is_http = isinstance(client, AsyncAnchorClient)
     assert isinstance(await error_of(asked), ConnectionFailed if is_http else Cancelled)
     gate.opened.set()
-
-
-@pytest.fixture
-def url(app: FastAPI, listen: Callable[[FastAPI], str]) -> str:
-    return listen(app)
-
-
-@pytest.mark.anyio
-async def test_who_is_cancelled_hangs_up_and_frees_the_engine(
-    url: str, planning: PlanningService, gate: Any, outcomes: Any, fields: dict[str, Any]
-) -> None:
-    async with AsyncAnchorClient(url, timeout_s=PATIENCE_S) as client:
-        asked = asyncio.ensure_future(client.plan(**fields, request_id="taken back"))
-        await reach(gate)
-        asked.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await asked
-        # The service has seen its caller leave while the engine is still at work.
-        assert await asyncio.to_thread(outcomes.heard.wait, PATIENCE_S)
-        gate.opened.set()
-        assert (await client.plan(**fields, request_id="next")).request_id == "next"
-
-    assert outcomes.seen[0] == CANCELLED
-    assert planning.queue.in_flight == 0
-
-
-@pytest.mark.anyio
-async def test_a_timeout_hangs_up_too(
-    url: str, gate: Any, outcomes: Any, fields: dict[str, Any]
-) -> None:
-    async with AsyncAnchorClient(url, timeout_s=0.2) as client:
-        assert isinstance(await error_of(client.plan(**fields)), TimedOut)
-
-    assert await asyncio.to_thread(outcomes.heard.wait, PATIENCE_S)
-    gate.opened.set()
-    assert outcomes.seen == [CANCELLED]

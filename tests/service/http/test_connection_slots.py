@@ -40,12 +40,6 @@ class Slots(ConnectionSlots):
         return connection
 
 
-def test_without_an_address_there_is_no_share() -> None:
-    slots = Slots(3, 1)
-
-    assert [slots.open(None).has_slot for _ in range(3)] == [True] * 3
-
-
 def test_a_response_that_is_still_being_sent_is_not_cut_off() -> None:
     slots = Slots(2, 2)
     slow, x = slots.open(), slots.open()

@@ -50,14 +50,21 @@ def plan(client: BaseClient, place: np.ndarray, **changes: Any) -> AnchorBatch:
 
 
 @pytest.mark.parametrize(
-    ("corner", "warm"), [(0.0, False), (-5.12, True)], ids=["from the corner", "centred, warm"]
+    ("corner", "beside"),
+    [(0.0, None), (-5.12, "warm_start"), (-5.12, "obstacles")],
+    ids=["from the corner", "centred, warm", "centred, with a person"],
 )
 def test_the_same_scene_in_utm_coordinates_is_answered_as_at_home(
-    client: BaseClient, corner: float, warm: bool
+    client: BaseClient, corner: float, beside: str | None
 ) -> None:
     def asked_at(place: np.ndarray) -> AnchorBatch:
         line = place + np.round(np.linspace(START, GOAL, 20), 3)
-        return plan(client, place, **({"warm_start": {"trajectory": line}} if warm else {}))
+        person = {"position": [line[6]], "radius": [0.3], "forecast": [line[10:12]]}
+        given = {
+            "warm_start": {"trajectory": line},
+            "obstacles": person | {"forecast_dt": 6.0},  # slow: its first place counts, too
+        }
+        return plan(client, place, **{name: given[name] for name in given if name == beside})
 
     home, far = asked_at(np.full(2, corner)), asked_at(UTM + corner)
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import re
-import subprocess
-import sys
-import textwrap
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -16,15 +12,12 @@ from typing import Any
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from anchorflow_client import AnchorRequest, DeadlineExceeded
-from anchorflow_client.codec import JsonCodec
 from anchorflow_service.observability.metrics import (
     SHARED_FOLDER,
-    Metrics,
     SharedFolderError,
     reserve_shared_files,
 )
-from anchorflow_service.planning import Call, PlanningService
+from anchorflow_service.planning import PlanningService
 
 Samples = dict[tuple[str, frozenset[tuple[str, str]]], float]
 
@@ -175,49 +168,6 @@ def test_the_age_of_the_oldest_in_the_queue_is_seen(
     gate.opened.set()
     assert [each.result(20).status_code for each in (first, second)] == [200, 200]
     assert oldest_wait_s() == 0
-
-
-def test_another_transport_is_counted_under_its_name(
-    planning: PlanningService, fields: dict[str, Any]
-) -> None:
-    metrics = Metrics(planning)
-    codec = JsonCodec()
-    request = AnchorRequest.build(**fields)
-
-    def call(**changes: Any) -> Call:
-        payload = codec.encode_request(request)
-        return Call(payload, codec, planning.arrival(), "r1", transport="zenoh", **changes)
-
-    async def both() -> None:
-        with planning:
-            await planning.answer(call())
-            with pytest.raises(DeadlineExceeded):
-                await planning.answer(call(budget_ms=1e-6))
-
-    asyncio.run(both())
-    samples = samples_of(metrics.render().decode())
-    for outcome in ("ok", "deadline_exceeded"):
-        labels = {"transport": "zenoh", "model": "lines", "outcome": outcome}
-        assert value(samples, "anchorflow_requests_total", **labels) == 1
-
-
-def test_threads_are_those_of_the_process() -> None:
-    # A separate process, since threads of other tests may end between two counts.
-    program = textwrap.dedent("""
-        import threading
-        from anchorflow_service.observability.metrics import threads
-
-        go = threading.Event()
-        before = threads()
-        for _ in range(5):
-            threading.Thread(target=go.wait).start()
-        print(threads() - before)
-        go.set()
-    """)
-    run = subprocess.run(
-        [sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=120
-    )
-    assert int(run.stdout) == 5
 
 
 def test_without_room_for_shared_counts_a_worker_does_not_start(

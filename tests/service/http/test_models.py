@@ -44,15 +44,6 @@ def test_all_in_json_it_is_what_our_own_client_gets(
     }  # fmt: skip
 
 
-def test_data_may_be_flat(service: Any, body: dict[str, Any]) -> None:
-    expected = arrays(infer(service, body))
-    for each in body["inputs"]:
-        each["data"] = np.array(each["data"]).reshape(-1).tolist()
-
-    for name, array in arrays(infer(service, body)).items():
-        np.testing.assert_array_equal(array, expected[name])
-
-
 def test_the_version_in_the_path_must_be_served(service: Any, body: dict[str, Any]) -> None:
     assert infer(service, body, "lines/versions/1.2.3").status_code == 200
     refused = infer(service, body, "lines/versions/9")
@@ -131,28 +122,16 @@ BINARY = {
 REFUSED: dict[str, tuple[Any, str]] = {
     "no object": (lambda _: [1], "body: expected an object"),
     "no json": (lambda _: b"{", "body: expected JSON, got text that breaks"),
-    "no inputs": (lambda _: {"id": "a"}, "inputs: this field is required"),
     "inputs no list": (lambda _: {"inputs": {"a": 1}}, "inputs: expected a list of tensors"),
     "a number for a tensor": (lambda body: body | {"inputs": [7]}, r"inputs\[0\]: expected an obj"),
-    "unknown field": (lambda body: body | {"input": []}, "input: unknown field"),
-    "misspelt tensor": (lambda body: change(body, name="map"), "cost_map.data: this field is req"),
     "tensor of another planner": (
         lambda body: body | {"inputs": [*body["inputs"], body["inputs"][2] | {"name": "camera"}]},
         "inputs.camera: unknown to lines, which is asked with cost_map, x_curr, x_goal",
     ),
     "unknown type": (lambda body: change(body, datatype="BYTES"), "cost_map: expected one of FP32"),
-    "shape no list": (lambda body: change(body, shape=5), "cost_map: expected a shape of at most"),
-    "shape of true": (
-        lambda body: change(body, shape=[True]),
-        "cost_map: expected a shape of whole numbers from 1 on, got the boolean true",
-    ),
     "shape of -6": (
         lambda body: change(body, shape=[-6]),
         "cost_map: expected a shape of whole numbers from 1 on, got -6",
-    ),
-    "65 axes": (
-        lambda body: change(body, shape=[1, 16, 20] + [1] * 62),
-        "cost_map: expected a shape of at most 8 axes, got a list of 65",
     ),
     "shape too small": (lambda body: change(body, shape=[1, 16, 19]), "cost_map: expected shape"),
     "huge shape": (lambda body: change(body, shape=[2**62] * 8), "cost_map: expected shape"),
@@ -164,14 +143,6 @@ REFUSED: dict[str, tuple[Any, str]] = {
         lambda body: change(body, data=["1"] * 320),
         r"expected a number at cost_map\[0\], got",
     ),
-    "data of true": (
-        lambda body: change(body, data=[True] * 320),
-        r"expected a number at cost_map\[0\], got",
-    ),
-    "ragged data": (
-        lambda body: change(body, data=[[1], [1, 2]]),
-        r"expected a list of 1 like the first at cost_map\[1\]",
-    ),
     "no data": (lambda body: change(body, data=None), r"inputs\[0\].data: this field is required"),
     "a tensor twice": (
         lambda body: body | {"inputs": [*body["inputs"], body["inputs"][0]]},
@@ -181,36 +152,17 @@ REFUSED: dict[str, tuple[Any, str]] = {
         lambda body: body | {"inputs": [BINARY]},
         "x_curr: expected 24 bytes, got 0",
     ),
-    "outputs no list": (
-        lambda body: body | {"outputs": {"a": 1}},
-        "expected a list of outputs, got an object",
-    ),
     "unknown output": (
         lambda body: body | {"outputs": [{"name": "paths"}]},
         "outputs: expected one of trajectories",
-    ),
-    "a class as output": (
-        lambda body: body | {"outputs": [{"name": "safe", "parameters": {"classification": 1}}]},
-        r"outputs\[0\].parameters.classification: unknown field",
-    ),
-    "shared memory": (
-        lambda body: body | {"parameters": {"shared_memory_region": "a"}},
-        "shared_memory_region: unknown field",
     ),
     "a timeout of 0": (lambda body: body | {"parameters": {"timeout": 0}}, "timeout: expected"),
     "a timeout and a budget": (
         lambda body: body | {"parameters": {"timeout": 1e6, "budget_ms": 1e3}},
         "timeout: expected this field or budget_ms, got both",
     ),
-    "parameters of an output that are none": (
-        lambda body: body | {"outputs": [{"name": "safe", "parameters": ""}]},
-        r"outputs\[0\].parameters: expected an object",
-    ),
-    "a nested parameter": (
-        lambda body: body | {"parameters": {"sampler": {"method": "rk4"}}},
-        "sampler: expected a string, a number or a boolean",
-    ),
 }
+"""What the reader of the binary form does not see; `test_oip_hostile.py` has the rest."""
 
 
 @pytest.mark.parametrize("case", REFUSED)

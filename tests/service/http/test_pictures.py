@@ -7,7 +7,6 @@ import io
 import json
 import re
 import struct
-import warnings
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -23,7 +22,6 @@ from served import app_of
 from anchorflow_client import AnchorClient, JsonCodec
 from anchorflow_client.contract import EncodedImage
 from anchorflow_client.contract.fields import MAX_PIXELS, MAX_REQUEST_PIXELS
-from anchorflow_service.http import orjson_codec as images
 from anchorflow_service.http.orjson_codec import decoded
 
 MODEL = "tiny-camera"
@@ -131,23 +129,6 @@ def test_what_pillow_warns_of_is_taken_and_not_told(service: Any, camera: Any) -
     answer = post(service, camera)
 
     assert answer.status_code == 200, answer.text
-
-
-def test_the_filters_of_warnings_are_left_alone_while_a_picture_is_decoded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Threads share them."""
-    before = warnings.filters
-    during = []
-
-    def upright(picture: Image.Image) -> Image.Image:
-        during.append(warnings.filters)
-        return picture
-
-    monkeypatch.setattr(images, "_upright", upright)
-    decoded(EncodedImage("png", encoded(9)), "camera")
-
-    assert during[0] is before
 
 
 def without_palette() -> bytes:

@@ -85,14 +85,6 @@ def test_a_good_request_cut_anywhere_is_refused(service: Any, fields: dict[str, 
         assert refusal(service.post(body[:end]), 422, "invalid_request")["field"] == "body"
 
 
-def test_an_unknown_model_is_told_what_there_is(service: Any, fields: dict[str, Any]) -> None:
-    error = refusal(service.post(fields | {"model": "flowmp"}), 404, "unknown_model")
-
-    assert error["field"] == "model"
-    assert "bows, lines" in error["message"]
-    assert "'flowmp'" in error["message"]
-
-
 @pytest.mark.parametrize("content_type", ["application/x-tensor", "text/plain", ""])
 def test_another_form_than_json_is_refused(service: Any, content_type: str) -> None:
     headers = {"Content-Type": content_type}

@@ -1,15 +1,16 @@
-"""Health, metadata, cards and documentation."""
+"""Health, request ids and the documentation."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 from typing import Any
 
 import httpx
 from fastapi import FastAPI
 
-from anchorflow_client import AnchorClient
 from anchorflow_client.contract.fields import REQUEST
+from anchorflow_service.http.schemas import AnchorAnswerBody, ModelsBody
 
 
 def test_outside_its_lifespan_it_lives_but_is_not_ready(app: FastAPI) -> None:
@@ -23,17 +24,6 @@ def test_outside_its_lifespan_it_lives_but_is_not_ready(app: FastAPI) -> None:
     assert live.status_code == 200
     assert ready.status_code == 503
     assert ready.json()["error"]["code"] == "not_ready"
-
-
-def test_cards_come_with_the_default_first(service: Any, engine: Any) -> None:
-    client = AnchorClient("http://test", transport=service)
-
-    cards = client.models()
-
-    assert [card.name for card in cards] == ["lines", "bows"]
-    assert cards[0] == engine.card
-    ready = [model["ready"] for model in service.request("GET", "/v2/models").json()["models"]]
-    assert ready == [True, True]
 
 
 def test_the_documentation_knows_every_field(service: Any) -> None:
@@ -62,3 +52,27 @@ def test_the_documentation_refers_to_nothing_that_is_missing(service: Any) -> No
         return set().union(*map(references, node)) if isinstance(node, list) else set()
 
     assert references(schema) <= set(schema["components"]["schemas"])
+
+
+def test_the_request_id_is_echoed(service: Any, fields: dict[str, Any]) -> None:
+    content = json.dumps(fields).encode()
+    by_header = service.request("POST", "/anchors", headers={"X-Request-Id": "h1"}, content=content)
+    by_body = service.post(fields | {"request_id": "b1"})
+    drawn = service.post(fields)
+
+    for answer, wanted in ((by_header, "h1"), (by_body, "b1")):
+        assert answer.json()["request_id"] == answer.headers["x-request-id"] == wanted
+    assert len(drawn.json()["request_id"]) == 32
+    assert (
+        service.request("GET", "/nowhere", headers={"X-Request-Id": "h2"}).headers["x-request-id"]
+        == "h2"
+    )
+
+
+def test_answers_keep_the_documented_schemas(service: Any, fields: dict[str, Any]) -> None:
+    """Taken strictly."""
+    batched = fields | {"x_goal": [fields["x_goal"]]}
+
+    for request in (fields, batched):
+        AnchorAnswerBody.model_validate_json(service.post(request).content, strict=True)
+    ModelsBody.model_validate_json(service.request("GET", "/v2/models").content, strict=True)

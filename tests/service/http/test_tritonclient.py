@@ -115,15 +115,6 @@ def test_some_of_the_outputs_in_either_form(client: Any, asked: dict[str, np.nda
     assert result.as_numpy("clearance") is None
 
 
-def test_a_batch_of_scenes(client: Any, asked: dict[str, np.ndarray]) -> None:
-    two = {name: np.stack([array, array]) for name, array in asked.items()}
-    result = client.infer("tiny", inputs_of(two), parameters={"num_samples": 3, "seed": 1})
-    trajectories = result.as_numpy("trajectories")
-
-    assert trajectories.shape == (2, 3, 8, 2)
-    np.testing.assert_array_equal(trajectories[0], trajectories[1])
-
-
 def test_refusals_reach_the_caller(client: Any, asked: dict[str, np.ndarray]) -> None:
     for model, parameters, words in (
         ("nobody", {}, "expected a model that is served"),

@@ -12,14 +12,6 @@ from anchorflow_service.planning.job import Job, JobCancelled
 from anchorflow_service.planning.service import LatestPerRobot
 
 
-def test_a_job_learns_how_long_it_waited_and_what_it_may_use() -> None:
-    job: Job[JobContext] = Job(lambda context: context, Arrival())
-
-    assert job.run(queue_ms=12.0, threads=3)
-    context = job.result.result(0)
-    assert (context.queue_ms, context.threads) == (12.0, 3)
-
-
 @pytest.mark.parametrize("where", ["work", "deliver"])
 def test_what_is_raised_at_work_or_on_delivery_is_the_result(where: str) -> None:
     calls: dict[str, Any] = {"work": lambda _: 0.0, "deliver": lambda _: None}
@@ -28,17 +20,6 @@ def test_what_is_raised_at_work_or_on_delivery_is_the_result(where: str) -> None
 
     assert job.run(queue_ms=0.0, threads=1) == (where == "deliver")
     with pytest.raises(ZeroDivisionError):
-        job.result.result(0)
-
-
-def test_called_off_in_the_queue_it_is_not_worked_on() -> None:
-    done: list[JobContext] = []
-    job: Job[None] = Job(done.append, Arrival())
-    job.cancel(NotReady("the service is stopping"))
-
-    assert not job.run(queue_ms=0.0, threads=1)
-    assert done == []
-    with pytest.raises(NotReady):
         job.result.result(0)
 
 
@@ -84,35 +65,13 @@ def job_of(arrived: float = 7.0) -> Job[None]:
     return Job(lambda _: None, Arrival(clock=lambda: arrived))
 
 
-def test_a_newer_request_takes_the_place_of_the_older() -> None:
-    latest, older, newer = LatestPerRobot(), job_of(7.0), job_of(8.0)
-
-    with latest.registered("r1", older), latest.registered("r1", newer):
-        error = older.result.exception(0)
-        assert isinstance(error, Superseded)
-        assert (error.http_status, error.field) == (409, "robot_id")
-        assert "robot_id 'r1'" in error.message
-        assert not newer.has_ended
-
-
-def test_an_older_request_that_took_longer_to_read_does_not() -> None:
+def test_an_older_request_that_took_longer_to_read_is_superseded() -> None:
     latest, older, newer = LatestPerRobot(), job_of(7.0), job_of(8.0)
 
     with latest.registered("r1", newer):
         with pytest.raises(Superseded), latest.registered("r1", older):
             raise AssertionError
         assert not newer.has_ended
-
-
-def test_robots_do_not_touch_each_other() -> None:
-    latest, one, other, nobody = LatestPerRobot(), job_of(), job_of(), job_of()
-
-    with (
-        latest.registered("r1", one),
-        latest.registered("r2", other),
-        latest.registered(None, nobody),
-    ):
-        assert not any(each.has_ended for each in (one, other, nobody))
 
 
 def test_nothing_is_kept_of_those_who_are_answered() -> None:

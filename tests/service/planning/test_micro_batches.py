@@ -79,13 +79,3 @@ def test_together_they_get_the_bytes_that_each_gets_alone(engine: Engine, thread
             assert array.tobytes() == other.arrays[name].tobytes(), name
     assert sum(sizes) == CALLERS
     assert max(sizes) > 1
-
-
-def test_without_batches_they_get_the_same_bytes_too(engine: Engine) -> None:
-    requests = [request(caller) for caller in range(4)]
-    batched, _ = answers(engine, ServiceLimits(threads=2), requests)
-    in_turn, sizes = answers(engine, ServiceLimits(threads=2, max_batch=1), requests)
-
-    for one, other in zip(batched, in_turn, strict=True):
-        assert one.trajectories.tobytes() == other.trajectories.tobytes()
-    assert sizes == [1] * 4

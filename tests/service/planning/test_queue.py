@@ -16,22 +16,6 @@ pytestmark = pytest.mark.anyio
 PATIENCE_S = 20
 
 
-async def test_the_queue_lets_so_many_wait() -> None:
-    opened = threading.Event()
-    with PlanningQueue(ServiceLimits(threads=1, max_waiting=2)) as queue:
-        jobs = [
-            asyncio.ensure_future(queue.run(lambda _: opened.wait(PATIENCE_S))) for _ in range(4)
-        ]
-        done, _ = await asyncio.wait(jobs, return_when=asyncio.FIRST_COMPLETED)
-        assert len(done) == 1
-        opened.set()
-        *answered, refused = await asyncio.gather(*jobs, return_exceptions=True)
-        assert answered == [True, True, True]
-        assert isinstance(refused, Overloaded)
-        assert await queue.run(lambda context: context.queue_ms) >= 0
-        assert queue.in_flight == 0
-
-
 async def test_a_job_that_fails_gives_its_place_back() -> None:
     with PlanningQueue(ServiceLimits(threads=1, max_waiting=0)) as queue:
         for _ in range(3):
@@ -51,23 +35,6 @@ async def test_whoever_hears_of_a_result_finds_the_lane_free() -> None:
         job.result.add_done_callback(ask_again)
         assert await queue.submit(job) == "done"
     assert taken == ["another"]
-
-
-async def test_a_caller_who_leaves_gives_his_place_back() -> None:
-    opened = threading.Event()
-    done: list[str] = []
-    with PlanningQueue(ServiceLimits(threads=1, max_waiting=1)) as queue:
-        running = asyncio.ensure_future(queue.run(lambda _: opened.wait(PATIENCE_S)))
-        waiting = asyncio.ensure_future(queue.run(lambda _: done.append("waiting")))
-        await asyncio.sleep(0)
-        waiting.cancel()
-        await asyncio.wait([waiting])
-        another = asyncio.ensure_future(queue.run(lambda _: "another"))
-        await asyncio.sleep(0)
-        opened.set()
-        assert await running
-        assert await another == "another"
-    assert done == []
 
 
 async def test_a_closed_queue_is_not_ready() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from anchorflow_client import (
     DeadlineExceeded,
     InvalidRequest,
     JsonCodec,
-    NotReady,
     OipCodec,
     Payload,
     UnknownModel,
@@ -91,29 +89,6 @@ def test_a_budget_beside_the_bytes_is_the_newer_one(ask: Ask) -> None:
     with pytest.raises(DeadlineExceeded, match="within 1e-06 ms"):
         ask({"budget_ms": 60_000}, budget_ms=1e-6)
     assert ask({"budget_ms": 1e-6}, budget_ms=60_000)
-
-
-def test_the_answer_has_the_form_of_the_request(
-    planning: PlanningService, fields: dict[str, Any]
-) -> None:
-    codec = JsonCodec()
-    payload = codec.encode_request(AnchorRequest.from_fields(fields))
-    asked = replace(call(planning, fields), payload=payload, codec=codec)
-
-    assert codec.decode_answer(asyncio.run(planning.answer(asked))).seed == 1
-
-
-def test_bytes_that_cannot_be_read_are_refused(
-    planning: PlanningService, fields: dict[str, Any]
-) -> None:
-    with pytest.raises(InvalidRequest, match="header_length"):
-        asyncio.run(planning.answer(replace(call(planning, fields), payload=Payload(b""))))
-
-
-def test_closed_it_is_not_ready(engine: Any, fields: dict[str, Any]) -> None:
-    closed = PlanningService({"a": engine}, default="a")
-    with pytest.raises(NotReady):
-        asyncio.run(closed.answer(call(closed, fields)))
 
 
 def test_the_default_must_be_served(engine: Any) -> None:

@@ -154,11 +154,3 @@ def test_a_single_folder_without_a_manifest_is_told(tmp_path: Path) -> None:
 def test_a_repository_must_be_there(tmp_path: Path) -> None:
     with pytest.raises(RepositoryError, match="expected a folder of bundles, found none"):
         BundleFolders(repository=tmp_path / "nowhere")
-
-
-def test_a_bundle_that_was_just_copied_there_is_found(tmp_path: Path, write_bundle: Write) -> None:
-    (tmp_path / "repository").mkdir()
-    folders = BundleFolders(repository=tmp_path / "repository")
-    assert folders.found() == []
-    write_bundle(tmp_path / "repository" / "flow", name="flow")
-    assert folders.find("flow") is not None

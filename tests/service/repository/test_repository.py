@@ -113,13 +113,6 @@ def test_what_is_unloaded_is_not_served_and_can_come_back(
     assert engines.choose(None).card.version == "1.2.3"
 
 
-def test_what_no_folder_holds_is_unknown(repository: Repository) -> None:
-    with pytest.raises(UnknownModel, match="got 'nobody'"):
-        repository.load("nobody")
-    with pytest.raises(UnknownModel, match="got 'tiny 9'"):
-        repository.load("tiny", "9")
-
-
 def wrong_hash(folder: Path) -> None:
     set_in_manifest(folder, "graphs.field.sha256", to="0" * 64)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -12,6 +10,7 @@ from typing import Any
 
 import pytest
 import straight_lines
+import trustme
 from anyio.from_thread import start_blocking_portal
 
 from anchorflow_benchmarks.programs import Program, router_command, running
@@ -19,8 +18,6 @@ from anchorflow_client.zenoh_client import ZenohAnchorClient, ZenohSettings
 from anchorflow_client.zenoh_client.session import open_session
 from anchorflow_service.planning import PlanningService
 from anchorflow_service.zenoh_endpoint import ZenohEndpoint
-
-KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
 
 Serve = Callable[..., ZenohEndpoint]
 Start = Callable[..., Program]
@@ -82,43 +79,25 @@ def start_replica(endpoint: str) -> Iterator[Start]:
 
 
 class Authority:
-    """Signs certificates for this machine in a folder, by the openssl command."""
+    """Signs certificates in a folder."""
 
-    def __init__(self, folder: Path, name: str = "ca") -> None:
-        self.folder = folder
-        self.name = name
-        extensions = ["basicConstraints=critical,CA:TRUE", "keyUsage=critical,keyCertSign"]
-        added = [word for extension in extensions for word in ("-addext", extension)]
-        key = folder / f"{name}.key"
-        out = ("-keyout", key, "-out", self.certificate, "-subj", f"/CN={name}", "-days", "2")
-        self._openssl("req", "-x509", *KEY, *added, *out)
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._ca = folder, trustme.CA()
+        self.certificate = folder / "ca.pem"
+        self._ca.cert_pem.write_to_path(self.certificate)
 
-    @property
-    def certificate(self) -> Path:
-        """The certificate to trust."""
-        return self.folder / f"{self.name}.pem"
-
-    def sign(self, name: str, *, host: str = "IP:127.0.0.1") -> tuple[Path, Path]:
+    def sign(self, name: str, *, host: str = "127.0.0.1") -> tuple[Path, Path]:
         """Return a certificate and its key: `name`.pem and `name`.key."""
-        request, extensions = self.folder / f"{name}.csr", self.folder / f"{name}.ext"
-        extensions.write_text(f"subjectAltName={host}\nextendedKeyUsage=serverAuth,clientAuth\n")
-        key = self.folder / f"{name}.key"
-        self._openssl("req", *KEY, "-keyout", key, "-out", request, "-subj", f"/CN={name}")
-        authority = ("-CA", self.certificate, "-CAkey", self.folder / f"{self.name}.key")
-        signed = ("-out", self.folder / f"{name}.pem", "-extfile", extensions, "-days", "2")
-        self._openssl("x509", "-req", "-in", request, *authority, "-CAcreateserial", *signed)
-        return self.folder / f"{name}.pem", key
-
-    def _openssl(self, *arguments: object) -> None:
-        command = ["openssl", *map(str, arguments)]
-        subprocess.run(command, check=True, capture_output=True)
+        signed = self._ca.issue_cert(host)
+        certificate, key = self._folder / f"{name}.pem", self._folder / f"{name}.key"
+        signed.cert_chain_pems[0].write_to_path(certificate)
+        signed.private_key_pem.write_to_path(key)
+        return certificate, key
 
 
 @pytest.fixture
 def authority(tmp_path: Path) -> Callable[..., Authority]:
     """Makes an authority in a folder, by default certificates/."""
-    if shutil.which("openssl") is None:
-        pytest.skip("openssl, which makes the certificates, is not installed")
 
     def make(folder: str = "certificates") -> Authority:
         (tmp_path / folder).mkdir()

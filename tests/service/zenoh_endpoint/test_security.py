@@ -56,7 +56,7 @@ def test_a_certificate_of_another_host_is_refused(
     authority: Callable[..., Any], serve: Any, endpoint: str, fields: dict[str, Any]
 ) -> None:
     ca, where = authority(), endpoint.replace("tcp/", "tls/")
-    certificate, key = ca.sign("service", host="DNS:elsewhere.example")
+    certificate, key = ca.sign("service", host="elsewhere.example")
     serve(ZenohSettings(listen=(where,), tls_certificate=certificate, tls_private_key=key))
 
     error = refusal(ZenohSettings(mode="client", connect=(where,), tls_ca=ca.certificate), fields)
@@ -190,17 +190,3 @@ def test_a_denied_key_is_refused_and_the_others_are_not(
         assert guest.ready()
     with ZenohAnchorClient(settings("robot")) as robot:
         assert robot.plan(**fields, model="bows").model.name == "bows"
-
-
-def test_a_node_without_any_rights_still_sees_the_replica(
-    guarded: Callable[..., Any], fields: dict[str, Any]
-) -> None:
-    settings = guarded("anchorflow/v1/**")
-
-    with ZenohAnchorClient(settings("guest")) as guest:
-        assert guest.live()
-        for ask in (lambda: guest.plan(**fields), guest.ready, guest.models):
-            with pytest.raises(Unauthorized, match="a is alive, and nothing comes"):
-                ask()
-        with pytest.raises(Unauthorized, match="replica/a/anchors/lines: access control"):
-            guest.plan(**fields, model="lines")
