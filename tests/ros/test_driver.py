@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -95,67 +96,92 @@ def test_without_a_goal_it_stands_and_sends_no_request(client: Switched) -> None
     assert client.requests == []
 
 
-def test_a_service_that_is_killed_means_braking_within_three_tenths(client: Switched) -> None:
-    robot = driving(client)
-    client.off = True
-
-    decisions = robot.run_until(lambda decision: decision.braking)
-
-    assert (len(decisions) - 1) * TICK_S <= 0.3
-    assert reason(decisions[-1]).startswith("service: no answer for 0.")
-    assert "nobody listens" in reason(robot.run(0.2)[-1])
-    robot.run(1.0)
-    assert robot.base.v == 0.0
-    client.off = False
-    assert reason(robot.run_until(lambda decision: decision.idle)[-1]) == "goal: arrived"
-
-
-def test_a_map_that_stops_means_braking(client: Switched) -> None:
-    robot = driving(client, map__timeout_s=0.3)
-    robot.maps = False
-
-    decisions = robot.run_until(lambda decision: decision.braking)
-
-    assert 0.3 < len(decisions) * TICK_S <= 0.45
-    assert reason(decisions[-1]).startswith("map: no message for 0.3")
-    robot.maps = True
-    assert reason(robot.run_until(lambda decision: decision.idle)[-1]) == "goal: arrived"
-
-
-def test_odometry_that_stops_means_braking(client: Switched) -> None:
-    robot = driving(client)
+def no_odometry(robot: Rehearsal, x: float = math.nan, *, ahead_s: float = 0.0) -> None:
+    """Send one odd message of odometry, and no further ones."""
     robot.odometry = False
-
-    decisions = robot.run_until(lambda decision: decision.braking)
-
-    assert len(decisions) * TICK_S <= 0.45
-    assert reason(decisions[-1]).startswith("odometry: the last message is 0.3")
+    robot.inputs.on_odometry(robot.make.odometry(x, 0.0, stamp=robot.clock.now + ahead_s))
 
 
-def test_odometry_that_is_not_a_number_means_braking_at_once(client: Switched) -> None:
-    robot = driving(client)
-    robot.odometry = False
-    robot.inputs.on_odometry(robot.make.odometry(math.nan, 0.0, stamp=robot.clock.now))
+class Case(NamedTuple):
+    """What goes wrong, why the robot brakes and how soon, and what mends it, if anything has to."""
 
-    decision = robot.tick()
+    begin: Callable[[Rehearsal], object]
+    words: str
+    mend: Callable[[Rehearsal], object] | None = None
+    within_s: float = TICK_S
+    later: str = ""
+    """A part of the reason after a second."""
 
-    assert reason(decision).startswith("odometry: odometry.pose.position: expected numbers")
-    robot.odometry = True
-    assert reason(robot.run_until(lambda decision: decision.idle)[-1]) == "goal: arrived"
+
+def publish_again(robot: Rehearsal) -> None:
+    robot.odometry = robot.maps = True
+    robot.client.off = False
 
 
-@pytest.mark.parametrize(
-    ("goal", "words"),
-    [((40.0, 0.0), "goal: (40.00, 0.00) m is off the map"), ((math.nan, 0.0), "goal: goal.pose")],
-)
-def test_a_goal_that_is_none_means_braking(
-    client: Switched, goal: tuple[float, float], words: str
-) -> None:
-    robot = driving(client)
-    robot.go(*goal)
+CASES = {
+    "a service that is killed": Case(
+        lambda robot: setattr(robot.client, "off", True),
+        "service: no answer for 0.",
+        publish_again,
+        within_s=0.35,
+        later="nobody listens",
+    ),
+    "a map that stops": Case(
+        lambda robot: setattr(robot, "maps", False),
+        "map: no message for 0.3",
+        publish_again,
+        within_s=0.45,
+    ),
+    "odometry that stops": Case(
+        lambda robot: setattr(robot, "odometry", False),
+        "odometry: the last message is 0.3",
+        publish_again,
+        within_s=0.45,
+    ),
+    "odometry that is not a number": Case(
+        no_odometry, "odometry: odometry.pose.position: expected numbers", publish_again
+    ),
+    "clocks that differ": Case(
+        lambda robot: no_odometry(robot, 0.0, ahead_s=3.0),
+        "odometry: its stamp is 3.00 s ahead of the node's clock",
+        publish_again,
+    ),
+    "a goal off the map": Case(
+        lambda robot: robot.go(40.0, 0.0),
+        "goal: (40.00, 0.00) m is off the map",
+        lambda robot: robot.go(3.0, 0.0),
+    ),
+    "a goal that is not a number": Case(
+        lambda robot: robot.go(math.nan, 0.0), "goal: goal.pose", lambda robot: robot.go(3.0, 0.0)
+    ),
+    "a goal in an unknown frame": Case(
+        lambda robot: robot.go(1.0, 0.0, frame_id="odom"),
+        "frames: ",
+        lambda robot: robot.go(3.0, 0.0),
+    ),
+    "a clock that goes back": Case(
+        lambda robot: robot.clock.advance(-20.0),
+        "clock: it jumped by -19.95 s; everything begins anew",
+    ),
+    "a clock that leaps": Case(
+        lambda robot: robot.clock.advance(20.0), "clock: it jumped by +20.05 s"
+    ),
+}
 
-    assert reason(robot.tick()).startswith(words)
-    robot.go(3.0, 0.0)
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_goes_wrong_means_braking_until_it_is_mended(client: Switched, name: str) -> None:
+    case, robot = CASES[name], driving(client, map__timeout_s=0.3)
+    case.begin(robot)
+
+    decision = robot.run_until(lambda decision: decision.braking, limit_s=case.within_s)[-1]
+
+    assert reason(decision).startswith(case.words)
+    assert decision.faults[0].level == ERROR
+    if case.mend is not None:
+        assert case.later in reason(robot.run(1.0)[-1])
+        assert robot.base.v == 0.0
+        case.mend(robot)
     assert reason(robot.run_until(lambda decision: decision.idle)[-1]) == "goal: arrived"
 
 
@@ -168,29 +194,6 @@ def test_a_goal_off_a_rolling_window_is_approached(client: Switched) -> None:
     assert robot.base.v > 0.5
 
 
-def test_a_goal_in_a_frame_that_is_not_known_means_braking(client: Switched) -> None:
-    robot = driving(client)
-    robot.go(1.0, 0.0, frame_id="odom")
-
-    assert "frames: " in reason(robot.tick())
-
-
-def test_a_clock_that_goes_back_means_braking_and_a_new_beginning(client: Switched) -> None:
-    robot = driving(client)
-    robot.clock.now -= 20.0
-
-    assert reason(robot.tick()) == "clock: it jumped by -19.95 s; everything begins anew"
-    assert reason(robot.run_until(lambda decision: decision.idle)[-1]) == "goal: arrived"
-
-
-def test_a_clock_that_leaps_means_braking_and_a_new_beginning(client: Switched) -> None:
-    robot = driving(client)
-    robot.clock.now += 20.0
-
-    assert reason(robot.tick()).startswith("clock: it jumped by +20.05 s")
-    assert reason(robot.run_until(lambda decision: decision.idle)[-1]) == "goal: arrived"
-
-
 def test_a_clock_that_stands_means_braking(client: Switched) -> None:
     robot = driving(client)
     now = robot.clock.now
@@ -199,14 +202,6 @@ def test_a_clock_that_stands_means_braking(client: Switched) -> None:
 
     assert not decisions[3].braking
     assert reason(decisions[-1]).startswith("clock: it has been at")
-
-
-def test_clocks_that_differ_are_named(client: Switched) -> None:
-    robot = driving(client)
-    robot.odometry = False
-    robot.inputs.on_odometry(robot.make.odometry(0.0, 0.0, stamp=robot.clock.now + 3.0))
-
-    assert "3.00 s ahead of the node's clock" in reason(robot.tick())
 
 
 def test_the_same_goal_again_does_not_begin_anew(client: Switched) -> None:
@@ -299,10 +294,3 @@ def test_braking_keeps_the_arc_and_ends() -> None:
         slower = braked(slower, robot, 0.1)
     assert not slower.any()
     np.testing.assert_allclose(braked(np.array([0.0, 0.0, -1.0]), robot, 0.1), [0.0, 0.0, -0.6])
-
-
-def test_what_is_wrong_stops_at_the_level_of_an_error(client: Switched) -> None:
-    robot = driving(client)
-    robot.odometry = False
-
-    assert robot.run(0.6)[-1].faults[0].level == ERROR

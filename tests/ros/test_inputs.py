@@ -66,34 +66,44 @@ def test_a_footprint_without_an_area_is_refused(make: Any) -> None:
 def test_speed_limits(message: Any, limit: float | None) -> None:
     """The fields of std_msgs/Float32, and of nav2_msgs/SpeedLimit, which has no wheel."""
     assert speed_limit_of(message, v_max=2.0) == limit
-
-
-def test_a_speed_limit_below_zero_is_refused() -> None:
     with pytest.raises(InvalidRequest, match="speed_limit"):
         speed_limit_of(SimpleNamespace(data=-0.5), v_max=2.0)
 
 
 def test_tracks_are_points_with_a_velocity_and_a_radius(make: Any) -> None:
-    tracks = tracks_of(make.tracks([[1, 2, 0.5, 0, 0.3], [3, 4, 0, -1, 0.25]]), growth=0.1)
+    names = ("radius", "x", "score", "y", "vx", "vy")  # in any order, with further fields
+    tracks = tracks_of(
+        make.tracks([[0.3, 1, 9, 2, 0.5, 0], [0.25, 3, 9, 4, 0, -1]], names), growth=0.1
+    )
 
     obstacles = tracks.obstacles
     assert_allclose(obstacles.position, [[1, 2], [3, 4]])
     assert_allclose(obstacles.later(1.0).position, [[1.5, 2], [3, 3]])
     assert_allclose(obstacles.radius, [0.3, 0.25])
     assert (obstacles.growth, tracks.stamp) == (0.1, 10.0)
-
-
-def test_further_fields_of_points_are_ignored(make: Any) -> None:
-    names = ("radius", "x", "score", "y", "vx", "vy")
-
-    tracks = tracks_of(make.tracks([[0.3, 1, 9, 2, 0.5, -0.5]], names))
-
-    assert_allclose(tracks.obstacles.position, [[1, 2]])
-    assert_allclose(tracks.obstacles.later(1.0).position, [[1.5, 1.5]])
-
-
-def test_nobody_in_sight_are_no_obstacles(make: Any) -> None:
     assert len(tracks_of(make.tracks(np.empty((0, 5)))).obstacles.position) == 0
+
+
+ROW = [1, 2, 0.5, 0, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("rows", "names", "width", "words"),
+    [
+        ([[1, 2, 0.3]], ("x", "y", "radius"), 1, "got x, y, radius; vx is missing"),
+        ([ROW], None, 2, "expected 1 rows of 40 bytes, got 20 bytes"),
+        ([[math.nan, *ROW[1:]]], None, 1, r"obstacles\.position"),
+    ],
+    ids=["no velocity", "too short", "not a number"],
+)
+def test_what_is_no_track_is_refused(
+    make: Any, rows: list[list[float]], names: tuple[str, ...] | None, width: int, words: str
+) -> None:
+    message = make.tracks(rows, names) if names else make.tracks(rows)
+    message.width = width
+
+    with pytest.raises(InvalidRequest, match=words):
+        tracks_of(message)
 
 
 def test_tracks_are_brought_into_the_map(make: Any) -> None:
@@ -103,24 +113,6 @@ def test_tracks_are_brought_into_the_map(make: Any) -> None:
 
     assert_allclose(seen.position, [[0, 3]], atol=1e-6)
     assert_allclose(seen.later(1.0).position, [[0, 4]], atol=1e-6)
-
-
-def test_tracks_without_a_velocity_are_refused(make: Any) -> None:
-    with pytest.raises(InvalidRequest, match="got x, y, radius; vx is missing"):
-        tracks_of(make.tracks([[1, 2, 0.3]], ("x", "y", "radius")))
-
-
-def test_tracks_shorter_than_they_say_are_refused(make: Any) -> None:
-    message = make.tracks([[1, 2, 0.5, 0, 0.3]])
-    message.width = 2
-
-    with pytest.raises(InvalidRequest, match="expected 1 rows of 40 bytes, got 20 bytes"):
-        tracks_of(message)
-
-
-def test_a_track_that_is_not_a_number_is_refused(make: Any) -> None:
-    with pytest.raises(InvalidRequest, match=r"obstacles\.position"):
-        tracks_of(make.tracks([[math.nan, 2, 0.5, 0, 0.3]]))
 
 
 def test_a_time_is_split_without_a_whole_second_of_nanoseconds() -> None:
