@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
-import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -19,11 +16,13 @@ import numpy as np
 import pytest
 from image_planner import write_image_bundle
 
+from anchorflow_benchmarks.programs import Program, free_port, running, serve_command
 from anchorflow_client import JsonCodec, Payload
 from anchorflow_client.contract import OCCUPIED
 from anchorflow_client.oip_codec import PATH_OF_INPUT, RESERVED, OipCodec
 from anchorflow_client.oip_message import nest, unpack_header, unpack_tensors
 from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.http.tokens import token_line
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request, Response
@@ -40,7 +39,6 @@ DESK: dict[str, Any] = {"viewport": {"width": 1440, "height": 900}}
 PATIENCE_S = 60
 MAP_M = 9.6
 """Side of the sample maps, whose centre is (0, 0)."""
-SERVE = "import sys; from anchorflow_cli.main import main; main(['serve', *sys.argv[1:]])"
 
 HEADER_LENGTH = "inference-header-content-length"
 
@@ -67,74 +65,42 @@ def browser() -> Iterator[Browser]:
         browser.close()
 
 
-class Served:
-    """The service in a process of its own, always on the same port."""
-
-    def __init__(self, *options: str) -> None:
-        self._options = options
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}"
-        self._process: subprocess.Popen[str] | None = None
-
-    def start(self) -> None:
-        """Start the process unless it runs; return when it listens."""
-        if self._process is not None:
-            return
-        compiled()
-        self._process = subprocess.Popen(
-            [sys.executable, "-u", "-c", SERVE, "--port", str(self.port), *self._options],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self._process.stdout is not None
-        assert self.url in self._process.stdout.readline()
-
-    def stop(self) -> None:
-        """Stop the process as Ctrl+C does; return when it has ended."""
-        if self._process is None:
-            return
-        with self._process:
-            self._process.send_signal(signal.SIGINT)
-        self._process = None
-
-
 @cache
 def compiled() -> None:
     """Wait until all loops are on disk: a service that compiles them refuses some requests."""
     subprocess.run([sys.executable, "-m", "anchorflow_trajectory.warm_up"], check=True)
 
 
+def serving(*options: str) -> Program:
+    """Return a service in a process of its own, always on the same port."""
+    compiled()
+    return Program("service", serve_command("--port", free_port(), *options), says=" at ")
+
+
 @pytest.fixture(scope="session")
-def served() -> Iterator[Served]:
+def served() -> Iterator[Program]:
     """A service with the default bundle; a test that stops it starts it again."""
-    served = Served()
-    served.start()
-    yield served
-    served.stop()
+    with running(serving()) as served:
+        yield served
 
 
 @pytest.fixture(scope="session")
-def served_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+def served_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Program]:
     """A service with two planners with a map, and three without one."""
     camera = write_image_bundle(tmp_path_factory.mktemp("camera"))
     shipped = [DEFAULT_BUNDLE.parent / name for name in ("student", "v2x", "goalflow")]
-    served = Served(*bundle_options([DEFAULT_BUNDLE, camera, *shipped]))
-    served.start()
-    yield served
-    served.stop()
+    with running(serving(*bundle_options([DEFAULT_BUNDLE, camera, *shipped]))) as served:
+        yield served
 
 
 @pytest.fixture
-def served_copies(tmp_path: Path) -> Iterator[tuple[Served, list[Path]]]:
+def served_copies(tmp_path: Path) -> Iterator[tuple[Program, list[Path]]]:
     """A service with a map planner and a camera planner, in folders that a test may change."""
     camera = tmp_path / "camera"
     camera.mkdir()
     copies = [Path(shutil.copytree(DEFAULT_BUNDLE, tmp_path / "map")), write_image_bundle(camera)]
-    served = Served(*bundle_options(copies))
-    served.start()
-    yield served, copies
-    served.stop()
+    with running(serving(*bundle_options(copies))) as served:
+        yield served, copies
 
 
 def bundle_options(folders: list[Path]) -> list[str]:
@@ -143,14 +109,11 @@ def bundle_options(folders: list[Path]) -> list[str]:
 
 
 @pytest.fixture
-def guarded(tmp_path: Path) -> Iterator[Served]:
+def guarded(tmp_path: Path) -> Iterator[Program]:
     """A service that requires the token "open sesame"."""
-    digest = hashlib.sha256(b"open sesame").hexdigest()
-    (tmp_path / "tokens").write_text(f"visitor infer sha256:{digest}\n")
-    guarded = Served("--tokens", str(tmp_path / "tokens"))
-    guarded.start()
-    yield guarded
-    guarded.stop()
+    (tmp_path / "tokens").write_text(token_line("visitor", ("infer",), "open sesame"))
+    with running(serving("--tokens", str(tmp_path / "tokens"))) as guarded:
+        yield guarded
 
 
 class Visit:
@@ -310,7 +273,7 @@ def desk(browser: Browser) -> Iterator[BrowserContext]:
 
 @pytest.fixture
 def open_page(
-    browser: Browser, desk: BrowserContext, served: Served
+    browser: Browser, desk: BrowserContext, served: Program
 ) -> Iterator[Callable[..., Visit]]:
     """Open the page on the desktop, or in a context of its own, with options of Playwright."""
     opened: list[Page | BrowserContext] = []
@@ -333,7 +296,7 @@ def open_page(
 
 
 @pytest.fixture
-def camera(open_page: Callable[..., Visit], served_all: Served) -> Iterator[Visit]:
+def camera(open_page: Callable[..., Visit], served_all: Program) -> Iterator[Visit]:
     """The page with the camera planner chosen and its first anchors."""
     visit = open_page(served_all.url)
     visit.choose_camera()

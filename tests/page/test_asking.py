@@ -130,7 +130,15 @@ def test_what_was_painted_can_be_undone_and_erased(visit: Any) -> None:
     assert undone.asked["cost_map"] == erased.asked["cost_map"]
 
 
-def test_the_style_changes_request_and_picture(visit: Any) -> None:
+def test_a_style_is_chosen_by_name_dragged_and_moved_by_keys(visit: Any) -> None:
+    name = visit.locate("#style-name")
+    expect(name).to_have_value("balanced")
+    expect(name.locator("[value=custom]")).to_be_hidden()
+    visit.answer(
+        lambda: name.select_option("efficient"),
+        lambda asked: asked["w_style"] == pytest.approx(STYLES["efficient"]),
+    )
+    expect(visit.locate("#style-text")).to_have_text("20 · 50 · 30")
     visit.page.wait_for_timeout(300)
     picture = visit.picture()
     box = visit.locate("#triangle").bounding_box()
@@ -142,6 +150,7 @@ def test_the_style_changes_request_and_picture(visit: Any) -> None:
         lambda asked: asked["w_style"][1] > 0.9,
     )
     visit.wait_for_another_picture(picture)
+    expect(name).to_have_value("custom")
     visit.locate("#knob").focus()
     by_key = visit.answer(
         lambda: visit.page.keyboard.press("ArrowUp"),
@@ -153,23 +162,6 @@ def test_the_style_changes_request_and_picture(visit: Any) -> None:
     expect(visit.locate("#knob")).to_have_attribute(
         "aria-valuetext", "safety 5 %, energy 95 %, smooth 0 %"
     )
-
-
-def test_a_named_style_sets_the_weights_and_a_weight_makes_it_custom(visit: Any) -> None:
-    name = visit.locate("#style-name")
-    expect(name).to_have_value("balanced")
-    expect(name.locator("[value=custom]")).to_be_hidden()
-    visit.answer(
-        lambda: name.select_option("efficient"),
-        lambda asked: asked["w_style"] == pytest.approx(STYLES["efficient"]),
-    )
-    expect(visit.locate("#style-text")).to_have_text("20 · 50 · 30")
-
-    visit.locate("#knob").focus()
-    visit.answer(
-        lambda: visit.page.keyboard.press("ArrowUp"), lambda asked: asked["w_style"][0] > 0.21
-    )
-    expect(name).to_have_value("custom")
 
 
 def test_the_form_sets_the_fields_of_the_request(visit: Any) -> None:
@@ -232,23 +224,6 @@ def test_the_robot_has_the_limits_of_the_card(visit: Any) -> None:
         lambda: visit.page.keyboard.press("Tab"), lambda asked: "horizon_s" not in asked
     )
     assert free.status == 200
-
-
-def test_limits_that_are_the_bundles_own_cannot_be_changed(open_page: Callable[..., Any]) -> None:
-    visit = open_page(at_once=False)
-
-    def answer(route: Any) -> None:
-        told = route.fetch()
-        (card,) = told.json()["models"]
-        card["conditioning"]["ranges"] = {}
-        route.fulfill(response=told, json={"models": [card]})
-
-    visit.page.route("**/v2/models", answer)
-    visit.open()
-    visit.wait_for_anchors()
-    for control in ("#v_max", "#a_max", "#horizon_s", "#robot_radius"):
-        expect(visit.locate(control)).to_be_disabled()
-    expect(visit.locate("#v_max-hint")).to_contain_text("The bundle's own.")
 
 
 def test_a_field_that_is_added_to_the_schema_gets_a_row_and_is_sent(

@@ -333,15 +333,3 @@ print("JSON", anchors.trajectories.tolist())
 """
     paths = json.loads(printed_by(sys.executable, program).rpartition("JSON ")[2])
     np.testing.assert_allclose(paths, shown["trajectories"], atol=1e-5)
-
-
-def test_a_phone_is_enough(open_page: Callable[..., Any], served_all: Any) -> None:
-    phone: dict[str, Any] = {"has_touch": True, "is_mobile": True, "color_scheme": "dark"}
-    visit = open_page(served_all.url, viewport={"width": 390, "height": 844}, **phone)
-    visit.choose_camera()
-
-    assert plan(visit).status == 200
-    expect(visit.locate("#summary")).to_contain_text("saw nothing in camera, ego_status.")
-    assert visit.page.evaluate("document.documentElement.scrollWidth") == 390
-    visit.keep("camera-phone.png", full_page=True)
-    assert visit.errors == []
