@@ -122,7 +122,7 @@ def test_each_stage_reaches_its_own_weights_and_no_others(stage: str) -> None:
 @pytest.mark.parametrize("stage", ["imitation", "scorers"])
 def test_steps_make_every_term_smaller(stage: str) -> None:
     loss_of, given = objective(stage, rank=1.0, occupancy=1.0), batch()
-    first, *_, last = descended(loss_of, given, drawn_for(loss_of))
+    first, *_, last = descended(loss_of, given, drawn_for(loss_of), steps=10)
     for name in TERMS[stage]:
         assert last[name] < first[name], name
 
@@ -177,7 +177,7 @@ def test_which_candidate_would_be_driven_is_learnt_from_windows_as_recorded() ->
     loss_of, given = DiffusionDriveObjective(model, settings, judge), batch()
     *draws, change = drawn_for(loss_of)
     change[:, 3] = torch.tensor([0.1, 0.9])  # the first begins at another speed
-    first, *_, last = descended(loss_of, given, (*draws, change))
+    first, *_, last = descended(loss_of, given, (*draws, change), steps=10)
     assert last["imitation"] < first["imitation"] - 0.05
     term = loss_of(given, *draws, change)[1]["imitation"]
     for window, changes in enumerate((False, True)):
