@@ -154,18 +154,8 @@ def test_every_evaluation_is_written_and_reported(
     assert not (tmp_path / "tensorboard").exists()
 
 
-def test_the_best_weights_are_kept(
-    tiny_dataset: SceneDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    course = iter([0.2, 0.6, 0.4])
-    monkeypatch.setattr("anchorflow_training.trainer.scores", lambda _: {"success": next(course)})
-    run = evaluated(tiny_dataset, tmp_path)
-    assert load_checkpoint(run.best_path).step == 2
-    assert load_checkpoint(run.checkpoint_path).step == 3
-
-
 @pytest.mark.parametrize(("patience", "steps"), [(0, 6), (1, 3), (2, 4)])
-def test_patience_stops_the_run_for_good(
+def test_the_best_weights_are_kept_and_patience_stops_the_run_for_good(
     patience: int,
     steps: int,
     tiny_dataset: SceneDataset,
@@ -180,6 +170,7 @@ def test_patience_stops_the_run_for_good(
         run = CFMTrainer(config, tiny_dataset, tmp_path)
         run.fit()
         assert load_checkpoint(run.checkpoint_path).step == steps
+        assert load_checkpoint(run.best_path).step == 2
         assert run.stopped == (patience > 0)
 
 

@@ -47,7 +47,7 @@ def test_only_the_student_learns(method: str, distil: Distil, teacher: Teacher) 
 
 
 def test_the_student_comes_nearer_to_its_teacher(distil: Distil) -> None:
-    run = distil(steps=60, learning_rate=1e-3)
+    run = distil(steps=30, learning_rate=1e-3)
     run.fit()
     losses = [row["loss"] for row in run.curve]
     assert np.mean(losses[-10:]) < 0.7 * np.mean(losses[:5])
