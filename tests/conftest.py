@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from anchorflow_benchmarks.programs import free_endpoint
+
 # A deadline judges the machine that a test happens to share, not the code.
 settings.register_profile("anchorflow", deadline=None)
 settings.load_profile("anchorflow")
@@ -68,6 +70,12 @@ class Clock:
 def clock() -> Clock:
     """Return a clock to set."""
     return Clock()
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """Return a zenoh endpoint without a listener."""
+    return free_endpoint()
 
 
 @pytest.fixture(scope="session")

@@ -30,9 +30,13 @@ from anchorflow_service.http.orjson_codec import OrjsonCodec
 
 FINITE32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 JSON = JsonCodec()
+BASE64 = JsonCodec(base64=True)
 ORJSON = OrjsonCodec()
-CODECS = [JSON, JsonCodec(base64=True), OipCodec(), ORJSON]
-PAIRS = [*((codec, codec) for codec in CODECS), (JSON, ORJSON), (ORJSON, JSON)]
+CODECS = [JSON, BASE64, OipCodec(), ORJSON]
+PAIRS = [
+    *((codec, codec) for codec in CODECS),
+    *((JSON, ORJSON), (ORJSON, JSON), (BASE64, ORJSON), (OrjsonCodec(base64=True), BASE64)),
+]
 """Who writes and who reads: the client and the service have a JSON codec each."""
 
 

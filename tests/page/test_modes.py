@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -130,12 +129,11 @@ def wait_until_it_is(visit: Any, where: Callable[[float], bool]) -> None:
     pytest.fail("the robot does not get there")
 
 
-@pytest.mark.parametrize("late_ms", [300, 1200])
 def test_a_robot_never_jumps_however_late_answers_are(
-    visit: Any, way: Callable[[], np.ndarray], late_ms: int
+    visit: Any, way: Callable[[], np.ndarray]
 ) -> None:
     def delay(route: Any) -> None:
-        visit.page.wait_for_timeout(late_ms)
+        visit.page.wait_for_timeout(1200)
         route.continue_()
 
     visit.page.route("**/anchors", delay)
@@ -146,11 +144,6 @@ def test_a_robot_never_jumps_however_late_answers_are(
         visit.page.keyboard.press("Shift+ArrowUp")
     wait_until_it_is(visit, lambda x: x > -1.0)
 
-    if late_ms < 1000:
-        expect(visit.locate("[data-handle=goal]")).to_have_attribute(
-            "aria-label", re.compile(r"position -"), timeout=PATIENCE_MS
-        )
-        wait_until_it_is(visit, lambda x: x < 3.0)
     visit.page.unroute_all(behavior="wait")
     time, *place = way().T
     v_max = float(visit.locate("#v_max").input_value())

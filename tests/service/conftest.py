@@ -18,7 +18,6 @@ from straight_lines import CARD, FREE_CARD, SteppingEngine, StraightLines
 from tiny_bundle import FREE_RANGES, write_graphs_of, write_tiny_bundle
 from written_graphs import set_in_manifest
 
-from anchorflow_benchmarks.programs import free_endpoint
 from anchorflow_client import AnchorBatch, AnchorRequest
 from anchorflow_service.planning import Call, Observer, PlanningService, ServiceLimits
 
@@ -122,12 +121,6 @@ def fields() -> dict[str, Any]:
         "num_samples": 4,
         "seed": 1,
     }
-
-
-@pytest.fixture
-def endpoint() -> str:
-    """Return a zenoh endpoint without a listener."""
-    return free_endpoint()
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from anchorflow_benchmarks.programs import free_endpoint
 from anchorflow_client import ConnectionFailed, ModelCard, Overloaded
 from anchorflow_client.zenoh_client import ZenohSettings
 from anchorflow_client.zenoh_client.network import Network
@@ -76,12 +75,6 @@ class Peer:
         """Reply that the replica is overloaded."""
         with query:
             query.reply_err(json.dumps(Overloaded("full").to_dict()).encode())
-
-
-@pytest.fixture
-def endpoint() -> str:
-    """Return an endpoint without a listener."""
-    return free_endpoint()
 
 
 @pytest.fixture

@@ -39,42 +39,6 @@ def read(fields: dict[str, Any], codec: type[JsonCodec] = OrjsonCodec) -> Anchor
     return codec().decode_request(Payload(json.dumps(fields).encode()))
 
 
-@pytest.fixture
-def rich(fields: dict[str, Any]) -> dict[str, Any]:
-    """The request with a value in every field that is an array of numbers."""
-    cost_map = {"data": (GRID[None] / 255).tolist(), "resolution": 0.5, "origin": [-5.0, -4.0]}
-    return fields | {
-        "cost_map": cost_map,
-        "w_style": [0.2, 0.3, 0.5],
-        "sampler": {"schedule": [0.0, 0.5, 1.0]},
-        "warm_start": {"trajectory": [[-3.0, 0.5], [0.0, 0.0], [3.0, 0.5]]},
-        "obstacles": {
-            "position": [[1.0, 0.0]],
-            "velocity": [[0.0, -0.5]],
-            "radius": [0.25],
-            "forecast": [[[1.0, -0.5], [1.5, -1.0]]],
-            "forecast_dt": 0.5,
-        },
-    }
-
-
-@pytest.mark.parametrize("codec", [JsonCodec, OrjsonCodec])
-def test_every_array_may_be_bytes(rich: dict[str, Any], codec: type[JsonCodec]) -> None:
-    told = read(rich, codec)
-    for name in ("x_curr", "x_goal", "w_style"):
-        rich[name] = as_bytes(rich[name])
-    for group, name in (
-        ("cost_map", "data"),
-        ("cost_map", "origin"),
-        ("sampler", "schedule"),
-        ("warm_start", "trajectory"),
-        *(("obstacles", name) for name in ("position", "velocity", "radius", "forecast")),
-    ):
-        rich[group][name] = as_bytes(rich[group][name])
-
-    assert codec().encode_request(read(rich, codec)) == codec().encode_request(told)
-
-
 @pytest.mark.parametrize("dtype", ["bool", "uint8", "int64", "float32"])
 def test_a_map_may_be_bytes_of_any_type(fields: dict[str, Any], dtype: str) -> None:
     grid = (GRID[None] > 120).astype(dtype)

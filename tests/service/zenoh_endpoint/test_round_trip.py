@@ -66,60 +66,6 @@ def test_a_request_can_be_cancelled(
     assert len(engine.seen) == 2  # the one that was cancelled before was never sent
 
 
-def test_an_abandoned_request_is_dropped_by_the_services_own_clock(
-    client: ZenohAnchorClient,
-    endpoint: str,
-    planning: PlanningService,
-    engine: Any,
-    gate: Any,
-    fields: dict[str, Any],
-    until: Any,
-) -> None:
-    """Zenoh does not report a client that gave up, was killed, or cancelled its request."""
-    cancellation = Cancellation()
-    request = AnchorRequest.from_fields(fields)
-    with ThreadPoolExecutor(2) as executor, ZenohAnchorClient(endpoint, timeout_s=1) as hasty:
-        occupied = executor.submit(client.plan_request, request)
-        assert gate.reached.wait(PATIENCE_S)
-        taken_back = executor.submit(hasty.plan_request, request, cancellation=cancellation)
-        until(lambda: planning.queue.in_flight == 2)
-        cancellation.cancel()
-        with pytest.raises(Cancelled):
-            taken_back.result(PATIENCE_S)
-        with pytest.raises(TimedOut):
-            hasty.plan_request(request)
-        until(lambda: planning.queue.in_flight == 1)  # without a budget it would wait for its turn
-        assert not occupied.done()
-        gate.opened.set()
-        assert occupied.result(PATIENCE_S).seed == 1
-
-    assert len(engine.seen) == 1
-
-
-def test_a_newer_request_of_a_robot_ends_the_cancelled_one(
-    client: ZenohAnchorClient,
-    planning: PlanningService,
-    gate: Any,
-    outcomes: Any,
-    fields: dict[str, Any],
-    until: Any,
-) -> None:
-    cancellation = Cancellation()
-    request = AnchorRequest.from_fields(fields | {"robot_id": "r1"})
-    with ThreadPoolExecutor(2) as executor:
-        occupied = executor.submit(lambda: client.plan(**fields))
-        assert gate.reached.wait(PATIENCE_S)
-        taken_back = executor.submit(client.plan_request, request, cancellation=cancellation)
-        until(lambda: planning.queue.in_flight == 2)
-        cancellation.cancel()
-        with pytest.raises(Cancelled):
-            taken_back.result(PATIENCE_S)
-        newer = executor.submit(client.plan_request, request)
-        until(lambda: outcomes.seen == ["superseded"])
-        gate.opened.set()
-        assert newer.result(PATIENCE_S).seed == occupied.result(PATIENCE_S).seed == 1
-
-
 def test_closing_cancels_pending_requests(
     client: ZenohAnchorClient, gate: Any, fields: dict[str, Any]
 ) -> None:
