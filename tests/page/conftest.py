@@ -59,6 +59,7 @@ def browser() -> Iterator[Browser]:
     executable = next(found, None)
     if executable is None:
         pytest.skip(f"no Chromium: none of {', '.join(CHROMIUM_NAMES)} is on the path")
+    sync_api.expect.set_options(timeout=1e3 * PATIENCE_S)
     with sync_api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=[*CHROMIUM_FLAGS])
         yield browser
@@ -329,6 +330,6 @@ def visit(open_page: Callable[..., Visit]) -> Iterator[Visit]:
 
 def wait_for_text(visit: Visit, selector: str, text: str) -> None:
     """Wait until an element shows a text."""
-    from playwright.sync_api import expect
+    from chromium import expect
 
-    expect(visit.locate(selector)).to_contain_text(text, timeout=1e3 * PATIENCE_S)
+    expect(visit.locate(selector)).to_contain_text(text)

@@ -13,16 +13,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chromium import expect
 from command_line import printed_by
 from image_planner import HEIGHT, TIMES, WIDTH, expected
 from PIL import Image
 
 from anchorflow_client.contract.inputs import read_inputs
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-expect = sync_api.expect
-
-PATIENCE_MS = 60_000
 MAP_TOOLS = ("#canvas", "#board", "#brush", "#sample", "[data-handle=goal]", "#triangle")
 MAP_ACTS = ("#drive", "#replay", "#open", "#save", "#sampler-method", "#robot_radius", "#charts")
 REFUSED = "status of 422"
@@ -88,7 +85,7 @@ def test_it_shows_the_card_a_field_for_every_input_and_no_tools_of_the_map(camer
         lambda: camera.locate("#bundle").select_option("flowmp-small"),
         lambda asked: "cost_map" in asked,
     )
-    expect(camera.locate("#summary")).to_contain_text("anchors are safe", timeout=PATIENCE_MS)
+    expect(camera.locate("#summary")).to_contain_text("anchors are safe")
     expect(camera.locate("#link-text")).to_contain_text("flowmp-small")
     for tool in MAP_TOOLS:
         expect(camera.locate(tool)).to_be_visible()
@@ -176,7 +173,7 @@ def test_fewer_anchors_are_the_best_ones_and_extras_are_a_choice(camera: Any) ->
     assert [told.asked[name] for name in names] == [2, 5, ["goals"]]
     np.testing.assert_allclose(told.answered["trajectories"], expected(0.0, 0.0)[0][:2], atol=1e-6)
     expect(camera.locate("#best tbody tr")).to_have_count(2)
-    expect(camera.locate("#poses")).to_have_css("opacity", "1", timeout=PATIENCE_MS)
+    expect(camera.locate("#poses")).to_have_css("opacity", "1")
     expect(camera.locate("#extras")).to_contain_text("goals [2, 2]")
     expect(camera.locate("#raster-block")).to_be_hidden()
 
@@ -231,15 +228,15 @@ def test_new_versions_of_the_chosen_bundle_are_taken_up(
         manifest = json.loads(file.read_text())
         name = manifest["name"]
         visit.locate("#bundle").select_option(name)
-        expect(visit.locate("#link-text")).to_contain_text(name, timeout=PATIENCE_MS)
+        expect(visit.locate("#link-text")).to_contain_text(name)
         if number:
             visit.locate("#plan").click()
-        expect(visit.locate("#summary")).to_contain_text("anchors", timeout=PATIENCE_MS)
+        expect(visit.locate("#summary")).to_contain_text("anchors")
         file.write_text(json.dumps({**manifest, "version": version}))
 
         if restarted:
             served.stop()
-            expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+            expect(visit.locate("#banner")).to_be_visible()
             served.start()
         else:
             load = f"{served.url}/v2/repository/models/{name}/load"
@@ -248,7 +245,7 @@ def test_new_versions_of_the_chosen_bundle_are_taken_up(
             if number:
                 visit.locate("#plan").click()
 
-        expect(visit.locate("#link-text")).to_have_text(f"{name} {version}", timeout=PATIENCE_MS)
+        expect(visit.locate("#link-text")).to_have_text(f"{name} {version}")
         expect(visit.locate("#card dd").first).to_have_text(f"{name} {version}")
         expect(visit.locate("#bundle")).to_have_value(name)
 
@@ -299,7 +296,7 @@ def test_a_picture_of_known_extent_lies_under_the_anchors(patched: Callable[...,
 
     visit = patched(place)
     visit.locate("#plan").click()
-    expect(visit.locate("#summary")).to_contain_text("6 anchors", timeout=PATIENCE_MS)
+    expect(visit.locate("#summary")).to_contain_text("6 anchors")
     expect(visit.locate("#raster-block")).to_be_hidden()
     with_picture = visit.locate("#birds-eye").screenshot()
 

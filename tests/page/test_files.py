@@ -12,15 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chromium import expect
 from command_line import printed_by
 from PIL import Image
 from ros_maps import drawing, map_files, pgm
 
 from anchorflow_client.contract import AnchorRequest
 from anchorflow_client.ros_map import load_ros_map
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-expect = sync_api.expect
 
 
 def png(grey: np.ndarray) -> bytes:

@@ -11,11 +11,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from chromium import expect
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-expect = sync_api.expect
-
-PATIENCE_MS = 60_000
 REFUSED = "status of 422"
 UNREACHABLE = "net::ERR_CONNECTION_REFUSED"
 SHOWN = "what is shown is its last answer."
@@ -42,7 +39,7 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any) -> None:
     assert 0 < goal[1] - (box["y"] + box["height"]) < 60
     # The last answer stays, with its figures faded.
     summary = visit.locate("#summary")
-    expect(summary).to_have_text(f"The service refused: {SHOWN}", timeout=PATIENCE_MS)
+    expect(summary).to_have_text(f"The service refused: {SHOWN}")
     for told in ("#anchor-figures", "#times", "#charts", "#best", "#legend"):
         expect(visit.locate(told)).to_have_css("opacity", "0.4")
     visit.locate("#best tbody tr").nth(3).hover()
@@ -51,7 +48,7 @@ def test_a_goal_in_an_obstacle_is_explained_beside_it(visit: Any) -> None:
     visit.keep("goal-in-obstacle.png")
 
     visit.drag_end("goal", (3.0, 1.0))
-    expect(bubble).to_be_hidden(timeout=PATIENCE_MS)
+    expect(bubble).to_be_hidden()
     visit.wait_for_anchors()
     expect(visit.locate("#best")).to_have_css("opacity", "1")
     visit.forget_errors(REFUSED)
@@ -63,7 +60,7 @@ def test_a_map_planner_that_refuses_shows_nothing_of_the_one_before(camera: Any)
 
     camera.locate("#bundle").select_option("flowmp-small")
 
-    expect(camera.locate("#bubble")).to_contain_text("seed: no", timeout=PATIENCE_MS)
+    expect(camera.locate("#bubble")).to_contain_text("seed: no")
     expect(camera.locate("#summary")).to_have_text("The service refused.")
     for told in ("#anchor-figures", "#round-trip", "#times", "#charts", "#best tbody"):
         expect(camera.locate(told)).to_be_empty()
@@ -77,7 +74,7 @@ def test_a_service_that_stops_is_missed_and_taken_up_again(visit: Any, served: A
     visit.choose_empty_map()
     served.stop()
     try:
-        expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+        expect(visit.locate("#banner")).to_be_visible()
         expect(visit.locate("#banner-text")).to_contain_text("The service does not answer.")
         expect(visit.locate("#link-text")).to_have_text("Not connected")
         visit.keep("stopped.png")
@@ -90,7 +87,7 @@ def test_a_service_that_stops_is_missed_and_taken_up_again(visit: Any, served: A
         served.start()
 
     assert back.status == 200
-    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(visit.locate("#banner")).to_be_hidden()
     expect(visit.locate("#link")).to_have_attribute("data-state", "up")
     visit.forget_errors(UNREACHABLE, "status of 503")  # while it starts
 
@@ -159,12 +156,12 @@ def test_a_service_that_requires_a_token_gets_one_and_copies_read_it_from_the_en
     open_page: Callable[..., Any], guarded: Any, copied: Callable[[Any, str], str]
 ) -> None:
     visit = open_page(guarded.url)
-    expect(visit.locate("#token-form")).to_be_visible(timeout=PATIENCE_MS)
+    expect(visit.locate("#token-form")).to_be_visible()
     # While the page waits for a token, a service that was away is taken up again.
     guarded.stop()
-    expect(visit.locate("#banner")).to_be_visible(timeout=PATIENCE_MS)
+    expect(visit.locate("#banner")).to_be_visible()
     guarded.start()
-    expect(visit.locate("#banner")).to_be_hidden(timeout=PATIENCE_MS)
+    expect(visit.locate("#banner")).to_be_hidden()
     expect(visit.locate("#link-text")).to_have_text("Connecting")
     visit.locate("#token").fill("wrong")
     visit.page.keyboard.press("Enter")

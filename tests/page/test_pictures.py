@@ -10,10 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from chromium import expect
 from PIL import Image
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-expect = sync_api.expect
 
 CAR, ROADSIDE = "#input-vehicle_image", "#input-infrastructure_image"
 PROMPT = "The ego vehicle drives at 7.4 m/s. Plan its path for 4.5 seconds."

@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-expect = sync_api.expect
+from chromium import expect
 
 MAP_M = 9.6
 WHEEL = 600.0

@@ -13,6 +13,7 @@ written instead. The manifest's hash and the times are left out of the compariso
 from __future__ import annotations
 
 import json
+import re
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -94,18 +95,9 @@ def processor() -> str:
 
 def in_json(payload: Payload) -> dict[str, Any]:
     """The text of every array of a JSON answer, digit by digit, and what it says beside them."""
-    answer = payload.body
-    fields = json.loads(answer)
-    arrays = {}
-    for name in ARRAYS:
-        begin = answer.index(f'"{name}":'.encode()) + len(name) + 3
-        depth, end = 0, begin
-        while True:
-            depth += {91: 1, 93: -1}.get(answer[end], 0)
-            end += 1
-            if not depth:
-                break
-        arrays[name] = answer[begin:end].decode()
+    fields, text = json.loads(payload.body), payload.body.decode()
+    found = {name: re.search(rf'"{name}":(\[[^"}}]*\])', text) for name in ARRAYS}
+    arrays = {name: array and array[1] for name, array in found.items()}
     model = {key: fields["model"][key] for key in ("name", "version")}
     told = {name: fields[name] for name in ("dt", "seed", "request_id")}
     return {"arrays": arrays, "told": told | {"model": model}}

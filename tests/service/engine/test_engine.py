@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -74,20 +73,11 @@ def test_a_wider_robot_has_less_clearance(engine: Engine, small_request: Build) 
     np.testing.assert_allclose(thin.clearance - wide.clearance, 0.2, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [
-        ({"v_max": 1.0}, "v_max"),
-        ({"x_curr": [-3.0, 0.1] + [0.0] * 7, "x_goal": [3.0, 0.2] + [0.0] * 4}, "x_curr"),
-        ({"warm_start": {"trajectory": np.zeros((8, 5)), "tau": 0.5}}, "warm_start.trajectory"),
-    ],
-)
-def test_what_cannot_be_honoured_is_refused_by_name(
-    engine: Engine, small_request: Build, changes: dict[str, Any], field: str
-) -> None:
-    with pytest.raises(InvalidRequest) as caught:
-        plan(engine, small_request(**changes))
-    assert caught.value.field == field
+def test_a_part_of_a_warm_starts_vectors_is_refused(engine: Engine, small_request: Build) -> None:
+    warm_start = {"trajectory": np.zeros((8, 5)), "tau": 0.5}
+    with pytest.raises(InvalidRequest, match="got 5") as caught:
+        plan(engine, small_request(warm_start=warm_start))
+    assert caught.value.field == "warm_start.trajectory"
 
 
 def test_another_model_is_unknown(engine: Engine, small_request: Build) -> None:

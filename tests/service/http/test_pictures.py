@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fastapi import FastAPI
-from image_planner import HEIGHT, WIDTH, expected
+from image_planner import HEIGHT, WIDTH
 from PIL import ExifTags, Image
 from served import app_of
 
@@ -232,31 +232,3 @@ def test_nested_lists_are_numbers_of_the_cards_type(service: Any) -> None:
         assert refused["field"] == "inputs.camera"
         message = f"expected uint8 numbers, got {float(stray)} at inputs.camera[2][0][7]"
         assert refused["message"] == message
-
-
-def test_any_client_of_the_protocol_may_ask(app: FastAPI, listen: Callable[[FastAPI], str]) -> None:
-    triton = pytest.importorskip("tritonclient.http", reason="tritonclient[http] is missing")
-    address = listen(app).removeprefix("http://")
-    with triton.InferenceServerClient(address, network_timeout=20.0) as client:
-        metadata = client.get_model_metadata(MODEL)
-        camera = triton.InferInput("camera", [3, HEIGHT, WIDTH], "UINT8")
-        camera.set_data_from_numpy(picture(153))
-        status = triton.InferInput("ego_status", [4], "FP32")
-        status.set_data_from_numpy(STATUS)
-        wanted = [triton.InferRequestedOutput(name) for name in ("trajectories", "goals")]
-        result = client.infer(MODEL, [camera, status], outputs=wanted)
-
-    inputs = {each["name"]: (each["datatype"], each["shape"]) for each in metadata["inputs"]}
-    assert inputs == {
-        "camera": ("UINT8", [-1, 3, HEIGHT, WIDTH]),
-        "ego_status": ("FP32", [-1, 4]),
-    }
-    outputs = {each["name"]: each["shape"] for each in metadata["outputs"]}
-    assert outputs["trajectories"] == [-1, -1, 8, 3]
-    assert (outputs["goals"], "safe" in outputs) == ([-1, -1, 2], False)
-    paths = expected(0.6, SPEED)[0]
-    np.testing.assert_allclose(result.as_numpy("trajectories"), paths, atol=1e-5)
-    np.testing.assert_array_equal(
-        result.as_numpy("goals"), result.as_numpy("trajectories")[:, -1, :2]
-    )
-    assert result.as_numpy("scores") is None
