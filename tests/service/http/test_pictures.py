@@ -232,3 +232,16 @@ def test_nested_lists_are_numbers_of_the_cards_type(service: Any) -> None:
         assert refused["field"] == "inputs.camera"
         message = f"expected uint8 numbers, got {float(stray)} at inputs.camera[2][0][7]"
         assert refused["message"] == message
+
+
+def test_the_protocols_metadata_are_the_cards_own_tensors(service: Any) -> None:
+    metadata = service.request("GET", f"/v2/models/{MODEL}").json()
+
+    inputs = {each["name"]: (each["datatype"], each["shape"]) for each in metadata["inputs"]}
+    assert inputs == {
+        "camera": ("UINT8", [-1, 3, HEIGHT, WIDTH]),
+        "ego_status": ("FP32", [-1, 4]),
+    }
+    outputs = {each["name"]: each["shape"] for each in metadata["outputs"]}
+    assert outputs["trajectories"] == [-1, -1, 8, 3]
+    assert (outputs["goals"], "safe" in outputs) == ([-1, -1, 2], False)
