@@ -1,4 +1,4 @@
-"""The choice along a route: a trajectory that ends beside it loses score.
+"""The choice along a route: a trajectory that ends beside it, or is turned from it, loses score.
 
 For planners whose requests may have the input `route` although no graph of theirs takes it.
 """
@@ -10,12 +10,16 @@ import numpy as np
 from anchorflow_client.contract.batch import beside_route
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.interfaces import Array, ConditionedScene
+from anchorflow_trajectory.car.course import Course
+from anchorflow_trajectory.car.tracking import wrap_angle
 
 ROUTE = "route"
 WITHIN_M = 2.0
 """m from the route at which an end is still on it: half a wide lane."""
 LOSS = 0.2
 """Score that is lost with each further metre."""
+TURNED = 0.6
+"""Score that is lost with each radian by which the poses are turned from the route in the mean."""
 
 
 class AlongRoute:
@@ -32,8 +36,14 @@ class AlongRoute:
         route = route_of(scene)
         if route is None:
             return scores
-        beside = beside_route(trajectories[:, -1, :2], route)
-        return (scores - LOSS * np.maximum(beside - WITHIN_M, 0.0)).astype(scores.dtype)
+        beside = np.maximum(beside_route(trajectories[:, -1, :2], route) - WITHIN_M, 0.0)
+        turned = turned_from(trajectories, Course(route)).mean(-1)
+        return (scores - LOSS * beside - TURNED * turned).astype(scores.dtype)
+
+
+def turned_from(poses: Array, course: Course) -> Array:
+    """Return the rad by which poses [...,3] are turned from a course at its nearest points."""
+    return np.abs(wrap_angle(poses[..., 2] - course.heading[course.nearest(poses[..., :2])]))
 
 
 def route_of(scene: ConditionedScene) -> Array | None:

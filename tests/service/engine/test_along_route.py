@@ -11,7 +11,9 @@ from anchorflow_client import AnchorBatch
 from anchorflow_client.contract.batch import beside_route
 from anchorflow_client.sensors import ego_status, route_ahead
 from anchorflow_service.bundle import DEFAULT_BUNDLE
+from anchorflow_service.engine.along_route import turned_from
 from anchorflow_service.local import LocalClient
+from anchorflow_trajectory.car.course import Course
 
 MOST = {"wote": 64, "diffusiondrive": 32}
 ASIDE = route_ahead([[0.0, 0.0], [80.0, 24.0]])
@@ -35,7 +37,7 @@ def plan(client: LocalClient, **asked: Any) -> AnchorBatch:
     return client.plan(inputs=inputs | asked, num_samples=most, seed=0)
 
 
-def test_what_ends_beside_the_route_loses_score_by_the_metre(client: LocalClient) -> None:
+def test_what_ends_beside_the_route_or_is_turned_from_it_loses_score(client: LocalClient) -> None:
     alone, told = plan(client), plan(client, route=ASIDE)
     assert "route" in alone.absent_inputs
     assert "route" not in told.absent_inputs
@@ -49,10 +51,23 @@ def test_what_ends_beside_the_route_loses_score_by_the_metre(client: LocalClient
     assert beside.max() > 2.0 > beside.min()
     if client.engine.card.name == "wote":  # the other's fine scores look at their neighbours
         lost = alone.scores[before] - told.scores[after]
-        np.testing.assert_allclose(lost, 0.2 * np.maximum(beside[after] - 2, 0), atol=1e-5)
+        turned = np.abs(told.trajectories[after, :, 2] - np.arctan2(24.0, 80.0)).mean(1)
+        expected = 0.2 * np.maximum(beside[after] - 2, 0) + 0.6 * turned
+        np.testing.assert_allclose(lost, expected, atol=1e-5)
     away = beside_route(alone.trajectories[:, -1, :2], ASIDE)
     assert beside[:8].mean() < away[:8].mean() - 0.1
     assert (np.diff(told.scores) <= 0).all()
+
+
+def test_poses_are_turned_from_the_nearest_place_of_a_bent_course() -> None:
+    angle = np.linspace(0.0, np.pi, 200)
+    course = Course(20 * np.stack([np.sin(angle), 1 - np.cos(angle)], -1))
+    place = np.array([0.3, 1.5, 3.0])
+    turn = np.array([0.0, 0.4, -0.4])
+    poses = np.stack([18 * np.sin(place), 20 - 18 * np.cos(place), place + turn], -1)
+    round_again = poses + np.array([0.0, 0.0, 2 * np.pi])
+    for each in (poses, round_again):
+        np.testing.assert_allclose(turned_from(each, course), np.abs(turn), atol=0.02)
 
 
 def test_a_route_without_length_is_not_told(client: LocalClient) -> None:
