@@ -19,8 +19,8 @@ from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_cli.replay import read_parameters
 from anchorflow_ros.driver import Decision, Driver
+from anchorflow_ros.frames import poses_of
 from anchorflow_ros.parameters import IN_PROCESS, Settings
-from anchorflow_ros.poses import poses_of
 from anchorflow_ros.replay import AtOnce, decisions
 from anchorflow_ros.services import client_of
 

@@ -42,7 +42,19 @@ class Payload:
     """Bytes of JSON before the tensors; None without a header."""
 
 
-class Codec(Protocol):
+class ServiceCodec(Protocol):
+    """The service's half of a codec."""
+
+    def decode_request(self, payload: Payload) -> AnchorRequest:
+        """Read a request from untrusted bytes. Raises `InvalidRequest`, which names the field."""
+        ...
+
+    def encode_answer(self, batch: AnchorBatch) -> Payload:
+        """Write an answer. Raises `ValueError` if a number is not finite."""
+        ...
+
+
+class Codec(ServiceCodec, Protocol):
     """One form of the contract on the wire."""
 
     @property
@@ -59,20 +71,8 @@ class Codec(Protocol):
         """Write a request, for a client."""
         ...
 
-    def decode_request(self, payload: Payload) -> AnchorRequest:
-        """Read a request, for a service.
-
-        Raises:
-            InvalidRequest: names the field, or "body" if the bytes cannot be parsed.
-        """
-        ...
-
-    def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """Write an answer, for a service. Raises `ValueError` if a number is not finite."""
-        ...
-
     def decode_answer(self, payload: Payload) -> AnchorBatch:
-        """Read an answer, for a client. Raises `InvalidAnswer`."""
+        """Read an answer from untrusted bytes, for a client. Raises `InvalidAnswer`."""
         ...
 
 
@@ -121,13 +121,10 @@ def answer_fields(batch: AnchorBatch) -> dict[str, Any]:
 
 
 def answer_of(fields: Any, arrays: Mapping[str, Any] | None = None) -> AnchorBatch:
-    """Read an answer from untrusted fields.
+    """Read an answer from untrusted fields. Raises `InvalidAnswer`.
 
     arrays: if they are not among the fields; None: all lists among the fields but dt are arrays,
         and all objects of base64
-
-    Raises:
-        InvalidAnswer: a field is missing, of a wrong type or not finite.
     """
     try:
         if arrays is None:
@@ -220,22 +217,18 @@ class JsonCodec:
         return JSON_OF_BYTES if self._base64 else self.content_type
 
     def encode_request(self, request: AnchorRequest) -> Payload:
-        """Write a request's fields; those left to the card are omitted."""
         fields = request_fields(request)
         if "inputs" in fields:
             fields["inputs"] = {name: _input(value) for name, value in request.inputs.items()}
         return Payload(self._dump(fields))
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """Read a request from untrusted bytes. Raises `InvalidRequest`."""
         return AnchorRequest.from_fields(self._load(payload.body))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """Write an answer. Raises `ValueError` if a number is not finite."""
         return Payload(self._dump({"reason": None, **answer_fields(batch)}))
 
     def decode_answer(self, payload: Payload) -> AnchorBatch:
-        """Read an answer from untrusted bytes. Raises `InvalidAnswer`."""
         try:
             fields = self._load(payload.body)
         except InvalidRequest as error:  # reading raises it in both directions
@@ -255,11 +248,7 @@ class JsonCodec:
 def parse(body: bytes, field: str = "body") -> Any:
     """Parse JSON; NaN and Infinity are accepted, so that the check of a field can name them.
 
-    field: the part of the message that holds the bytes
-
-    Raises:
-        InvalidRequest: names `field`: it is no JSON in UTF-8, is nested too deep, or holds an
-            integer of more digits than Python reads.
+    field: the part of the message that holds the bytes, which `InvalidRequest` names
     """
     try:
         return json.loads(body.decode())

@@ -7,7 +7,6 @@ while driving:
     base.drive(*command.u)
 """
 
-from anchorflow_control.command import Command as Command
 from anchorflow_control.config import MppiConfig as MppiConfig
-from anchorflow_control.controller import MppiController as MppiController
+from anchorflow_control.controller import Command as Command, MppiController as MppiController
 from anchorflow_control.robot import Robot as Robot

@@ -32,12 +32,7 @@ HEADS = {
 MODULE = re.compile(r"\b[a-z_]\w*(?:\.[a-z_]\w*)*\.(?=[A-Z])")
 """The modules before a class in a type's name."""
 OPTIONAL = re.compile(r"^Optional\[(.*)\]$")
-SIGNS: dict[type, tuple[str, str]] = {
-    Gt: (">", "gt"),
-    Ge: ("≥", "ge"),
-    Lt: ("<", "lt"),
-    Le: ("≤", "le"),
-}
+SIGNS: dict[type, str] = {Gt: ">", Ge: "≥", Lt: "<", Le: "≤"}
 
 
 def request_fields(group: Group, prefix: str = "") -> Iterator[Field]:
@@ -246,8 +241,8 @@ def _typed(kind: Any) -> str:
 
 
 def _bounds(info: FieldInfo) -> list[str]:
-    known = [(SIGNS[type(each)], each) for each in info.metadata if type(each) in SIGNS]
-    return [f"{sign} {getattr(bound, name):g}" for (sign, name), bound in known]
+    known = [(type(each), each) for each in info.metadata if type(each) in SIGNS]
+    return [f"{SIGNS[kind]} {getattr(bound, kind.__name__.lower()):g}" for kind, bound in known]
 
 
 def _default_of_model(info: FieldInfo) -> str:

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from anchorflow_client.contract import AnchorBatch
 from anchorflow_client.contract.ranges import COORDINATE
 from anchorflow_client.errors import InvalidRequest
 
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 
 UNIT_LENGTH = 0.1
 """The length of a quaternion may differ from 1 by this much."""
+MOVING = 0.05
+"""m/s; slower anchors give no heading, and keep the last one."""
 
 
 @dataclass(frozen=True)
@@ -37,11 +40,7 @@ class Pose:
 
     @classmethod
     def of(cls, pose: Any, field: str) -> Pose:
-        """Read a geometry_msgs/Pose.
-
-        Raises:
-            InvalidRequest: a coordinate is not finite, or the orientation is no unit quaternion.
-        """
+        """Read a geometry_msgs/Pose. Raises `InvalidRequest`."""
         x, y = float(pose.position.x), float(pose.position.y)
         if not (COORDINATE.holds(x) and COORDINATE.holds(y)):
             message = f"expected numbers {COORDINATE}, got {x:g}, {y:g}"
@@ -73,10 +72,9 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 def yaw_of(orientation: Any, field: str) -> float:
-    """Return the yaw in rad of a geometry_msgs/Quaternion, which may also tilt a little.
+    """Return the rad of a geometry_msgs/Quaternion, which may tilt a little.
 
-    Raises:
-        InvalidRequest: its length is not 1, as in a message that was never filled.
+    Raises `InvalidRequest` if its length is not 1, as in a message that was never filled.
     """
     x, y, z, w = (float(getattr(orientation, axis)) for axis in "xyzw")
     if not abs(math.hypot(x, y, z, w) - 1.0) <= UNIT_LENGTH:
@@ -88,11 +86,7 @@ class Frames(Protocol):
     """Transforms between frames."""
 
     def between(self, target: str, source: str, *, at: float) -> Pose:
-        """Return the transform that brings poses of `source` into `target` at a time in s.
-
-        Raises:
-            InvalidRequest: it is not known.
-        """
+        """Return the transform of `source` into `target` at `at` s. Raises `InvalidRequest`."""
         ...
 
 
@@ -100,11 +94,7 @@ class StaticFrames:
     """Transforms that are parameters and never change."""
 
     def __init__(self, transforms: Iterable[str] = ()) -> None:
-        """Read texts of a parent frame, a child frame, x and y in m, and yaw in rad.
-
-        Raises:
-            InvalidRequest: names `frames.transforms`.
-        """
+        """Read texts of parent, child, x and y in m, yaw in rad. Raises `InvalidRequest`."""
         self._edges: dict[str, dict[str, Pose]] = {}
         for text in transforms:
             parent, child, pose = _read_transform(text)
@@ -139,3 +129,17 @@ def _read_transform(text: str) -> tuple[str, str, Pose]:
         wanted = "two frames and finite numbers"
         raise InvalidRequest(f"expected {wanted}, got {text!r}", "frames.transforms")
     return parent, child, Pose(x, y, yaw)
+
+
+def poses_of(batch: AnchorBatch, index: int) -> Array:
+    """Return [T,3] x, y, heading of an anchor; without headings those of the velocity."""
+    path = batch.trajectories[index].astype(np.float64)
+    if path.shape[1] > 2:
+        return path
+    velocity = batch.velocities[index, :, :2].astype(np.float64)
+    moving = np.hypot(*velocity.T) > MOVING
+    if not moving.any():
+        return np.column_stack([path, np.zeros(len(path))])
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(path)), -1))
+    last[last < 0] = int(moving.argmax())
+    return np.column_stack([path, np.arctan2(velocity[last, 1], velocity[last, 0])])

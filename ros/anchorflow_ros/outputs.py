@@ -27,8 +27,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from anchorflow_client.contract import AnchorBatch
 from anchorflow_ros.faults import OK, Fault
+from anchorflow_ros.frames import poses_of
 from anchorflow_ros.inputs import seconds_and_nanoseconds
-from anchorflow_ros.poses import poses_of
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,6 @@ BEST, WORST, UNSAFE = (0.1, 0.65, 0.2), (0.95, 0.6, 0.1), (0.85, 0.1, 0.1)
 
 
 def header_of(seconds: float, frame_id: str) -> Header:
-    """Return a header."""
     sec, nanosec = seconds_and_nanoseconds(seconds)
     return Header(stamp=Time(sec=sec, nanosec=nanosec), frame_id=frame_id)
 

@@ -25,9 +25,9 @@ from anchorflow_client.errors import AnchorFlowError
 from anchorflow_client.planner import AnchorSource
 from anchorflow_ros.driver import Decision, Driver
 from anchorflow_ros.faults import ERROR, OK
+from anchorflow_ros.frames import poses_of
 from anchorflow_ros.inputs import seconds_and_nanoseconds, stamp_of
 from anchorflow_ros.parameters import Settings
-from anchorflow_ros.poses import poses_of
 from anchorflow_ros.scene import SceneReader
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -122,14 +122,8 @@ def _pass_on(inputs: SceneReader, name: str, message: Any, *, now: float) -> Non
     if name in ("map", "map_updates"):
         read = inputs.on_map if name == "map" else inputs.on_map_update
         read(message, now=now)
-        return
-    readers = {
-        "goal": inputs.on_goal,
-        "footprint": inputs.on_footprint,
-        "tracks": inputs.on_tracks,
-        "speed_limit": inputs.on_speed_limit,
-    }
-    readers[name](message)
+    else:
+        getattr(inputs, f"on_{name}")(message)
 
 
 def _messages(bag: Path, settings: Settings) -> Iterator[tuple[str, Any]]:
@@ -181,7 +175,6 @@ class _Record:
         yield "plan", _path(decision)
 
     def summary(self) -> Summary:
-        """Return the figures."""
         safe, times = zip(*self._answers, strict=True) if self._answers else ((), ())
         return Summary(
             ticks=self._ticks,
@@ -207,7 +200,6 @@ def _blank_field(spec: Any) -> Any:
 
 
 def header_of(seconds: float, frame_id: str) -> Any:
-    """Return a std_msgs/Header."""
     sec, nanosec = seconds_and_nanoseconds(seconds)
     stamp = blank("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
     return blank("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id)

@@ -16,7 +16,7 @@ from anchorflow_client import AnchorBatch
 from anchorflow_client.contract import ModelId
 from anchorflow_ros import outputs
 from anchorflow_ros.faults import ERROR, OK, Fault
-from anchorflow_ros.poses import poses_of
+from anchorflow_ros.frames import poses_of
 
 T = 9
 

@@ -33,26 +33,13 @@ PROXY_STATUSES = frozenset({500, 502, 503, 504})
 class Exchange(Generic[Result]):
     """A request, and the function that reads its answer."""
 
-    method: str
-    path: str
-    headers: Mapping[str, str]
-    body: bytes | None
+    request: tuple[str, str, Mapping[str, str], bytes | None]
+    """Method, path, headers and body, the first arguments of a transport's `send`."""
     read: Callable[[Payload], Result]
     """Reads an answer of status 200. Raises `InvalidAnswer`."""
 
-    @property
-    def request(self) -> tuple[str, str, Mapping[str, str], bytes | None]:
-        """Return the first arguments of a transport's `send`."""
-        return self.method, self.path, self.headers, self.body
-
     def result(self, answer: HttpAnswer) -> Result:
-        """Read the answer.
-
-        Raises:
-            RequestError: the service refuses.
-            ConnectionFailed: a proxy answers that cannot reach the service.
-            InvalidAnswer: the answer breaks the contract.
-        """
+        """Read the answer. Raises `RequestError`, `ConnectionFailed` or `InvalidAnswer`."""
         status, headers, body = answer
         if status != 200:
             raise _refusal(status, headers, body)
@@ -64,11 +51,7 @@ class Exchanges:
     """All requests that a service answers."""
 
     def __init__(self, url: str, *, codec: Codec, token: str | None) -> None:
-        """Prefix every path of the contract with the path of the service's URL.
-
-        Raises:
-            UsageError: the token cannot be sent in a header; the message does not repeat it.
-        """
+        """Keep the URL's path. Raises `UsageError`, which does not repeat the token."""
         if token is not None and not (token.isascii() and token.isprintable()):
             raise UsageError("token: expected printable ASCII, got other characters too")
         self._codec = codec
@@ -76,7 +59,6 @@ class Exchanges:
         self._authorization = {} if token is None else {"Authorization": f"Bearer {token}"}
 
     def plan(self, request: AnchorRequest) -> Exchange[AnchorBatch]:
-        """Encode a request for anchors with the codec."""
         payload = self._codec.encode_request(request)
         forms = {"Accept": self._codec.accept, "Content-Type": self._codec.content_type}
         headers = {**forms, **self._authorization}
@@ -86,10 +68,9 @@ class Exchanges:
         def read(answer: Payload) -> AnchorBatch:
             return answer_to(request, self._codec.decode_answer(answer))
 
-        return Exchange("POST", f"{self._base_path}/anchors", headers, payload.body, read)
+        return Exchange(("POST", f"{self._base_path}/anchors", headers, payload.body), read)
 
     def models(self) -> Exchange[tuple[ModelCard, ...]]:
-        """Request the cards of all served bundles, the default first."""
         return self._get("/v2/models", _read_cards)
 
     def health(self, kind: Literal["live", "ready"]) -> Exchange[bool]:
@@ -98,7 +79,7 @@ class Exchanges:
 
     def _get(self, path: str, read: Callable[[Payload], Result]) -> Exchange[Result]:
         headers = {"Accept": "application/json", **self._authorization}
-        return Exchange("GET", self._base_path + path, headers, None, read)
+        return Exchange(("GET", self._base_path + path, headers, None), read)
 
 
 def _read_cards(answer: Payload) -> tuple[ModelCard, ...]:

@@ -35,8 +35,8 @@ from anchorflow_service.engine.interfaces import (
 )
 from anchorflow_service.engine.poses import PosePlanner
 from anchorflow_service.engine.samplers import SAMPLERS
+from anchorflow_service.engine.samplers.flow import drawn_round_ways
 from anchorflow_service.engine.samplers.ode import FlowStates, OdeSampler
-from anchorflow_service.engine.samplers.ways import drawn_round_ways
 from anchorflow_trajectory.threads import usable_cores
 
 PROBED = 16  # anchors
@@ -51,7 +51,6 @@ class StageClock:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Add the time spent inside to that of the stage."""
         start = perf_counter()
         try:
             yield
@@ -151,11 +150,7 @@ class Engine:
         )
 
     def samples(self, request: ResolvedRequest, /) -> list[Samples]:
-        """Return the samples of every scene as the sampler draws them, before the finish.
-
-        Raises:
-            InvalidRequest, UnknownModel: as `plan`.
-        """
+        """Return the samples of every scene before the finish. Raises as `plan`."""
         clock, check = StageClock(), lambda: None
         return [
             self._sampled(scene, clock, self._threads, check) for scene in self._scenes(request)
@@ -164,10 +159,7 @@ class Engine:
     def flow_states(self, request: ResolvedRequest, /) -> FlowStates:
         """Return the states that `plan` passes through on its way to the first scene's anchors.
 
-        The finish starts from the last of them.
-
-        Raises:
-            InvalidRequest, UnknownModel: as `plan`; the planner has no flow, or does without.
+        The finish starts from the last of them. Raises as `plan`, and if the planner has no flow.
         """
         if not isinstance(self.sampler, OdeSampler):
             raise InvalidRequest(f"expected a model with a flow, got {self.card.name}", "model")

@@ -19,6 +19,7 @@ from anchorflow_service.engine.guard import GuardFinish
 from anchorflow_service.engine.interfaces import DT, Arrays, ConditionedScene, Finish, Samples
 from anchorflow_service.engine.later_loops import MOVING_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
+from anchorflow_trajectory.finish.refined import Refined
 from anchorflow_trajectory.finish.refiner import Refiner
 from anchorflow_trajectory.finish.why_unsafe import why_unsafe
 from anchorflow_trajectory.threads import Spread, in_one
@@ -39,11 +40,9 @@ class NoFinish:
         *,
         threads: int,  # noqa: ARG002
     ) -> Arrays:
-        """Return trajectories [N,T,D] and the sampler's arrays."""
         return {"trajectories": samples.states[..., : self._D], **samples.arrays}
 
     def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:  # noqa: ARG002
-        """Return None: nothing is called safe or unsafe."""
         return None
 
 
@@ -52,6 +51,21 @@ def refiner_of(manifest: Manifest, scene: MapScene, *, spread: Spread = in_one) 
     entry = manifest.finish
     assert isinstance(entry, SplineEntry)
     return Refiner(scene.scene, entry.steps, entry.rate, spread)
+
+
+def arrays_of(refined: Refined, scene: MapScene, steps: int) -> Arrays:
+    """Return the arrays of an answer, the time steps too if each anchor has its own duration."""
+    own = {DT: refined.duration / (steps - 1)} if scene.limits.horizon_s is None else {}
+    return {
+        "trajectories": refined.positions,
+        "velocities": refined.velocities,
+        "accelerations": refined.accelerations,
+        "scores": refined.scores,
+        "clearance": refined.clearance,
+        "safe": refined.safe,
+        "routes": refined.routes,
+        **own,
+    }
 
 
 class SplineFinish:
@@ -78,23 +92,13 @@ class SplineFinish:
 
         refiner = refiner_of(self._manifest, scene, spread=spread)
         refined = refiner.refine(samples.states, samples.route, spec)
-        steps = self._manifest.time.steps - 1
-        own = {DT: refined.duration / steps} if scene.limits.horizon_s is None else {}
         return {
-            "trajectories": refined.positions,
-            "velocities": refined.velocities,
-            "accelerations": refined.accelerations,
-            "scores": refined.scores,
-            "clearance": refined.clearance,
-            "safe": refined.safe,
-            "routes": refined.routes,
+            **arrays_of(refined, scene, self._manifest.time.steps),
             RAW_POSITIONS: samples.states[..., : self._manifest.D],
-            **own,
             **samples.arrays,
         }
 
     def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:
-        """Return why no anchor is safe; None if one is."""
         if arrays["safe"].any():
             return None
         assert isinstance(scene, MapScene)

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from anchorflow_client.contract.body import DEFAULT_OMEGA_MAX, Kinematics
 from anchorflow_service.bundle.manifest import CostMapSpec, Manifest
 from anchorflow_service.engine.conditioning.cost_map import MapScene, outline_of
-from anchorflow_service.engine.interfaces import DT, Arrays
+from anchorflow_service.engine.finish import arrays_of
+from anchorflow_service.engine.interfaces import Arrays
 from anchorflow_service.engine.later_loops import POSE_LOOPS
 from anchorflow_service.engine.thread_pool import ThreadPool
 from anchorflow_trajectory.bodies.planner import BodyPlanner
@@ -39,7 +40,7 @@ class PosePlanner:
         self._pool = ThreadPool(threads, name="anchorflow-poses")
 
     def plan(self, scene: MapScene, *, threads: int) -> Arrays:
-        """Return the arrays of an answer with D = 3, and the anchors' time steps."""
+        """Return `arrays_of` anchors with D = 3."""
         request = scene.request
         tolerance = request.goal_tolerance
 
@@ -58,14 +59,4 @@ class PosePlanner:
         found = BodyPlanner(problem, self._steps, run).plan(
             request.num_samples, request.seed, request.certified_margin
         )
-        own = {DT: found.duration / (self._steps - 1)} if scene.limits.horizon_s is None else {}
-        return {
-            "trajectories": found.positions,
-            "velocities": found.velocities,
-            "accelerations": found.accelerations,
-            "scores": found.scores,
-            "clearance": found.clearance,
-            "safe": found.safe,
-            "routes": found.routes,
-            **own,
-        }
+        return arrays_of(found, scene, self._steps)

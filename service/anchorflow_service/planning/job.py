@@ -8,10 +8,10 @@ from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
-from anchorflow_client.codec import Payload
-from anchorflow_client.contract import AnchorBatch, AnchorRequest, ModelId
+from anchorflow_client.codec import Payload, ServiceCodec
+from anchorflow_client.contract import ModelId
 from anchorflow_client.errors import AnchorFlowError, DeadlineExceeded, InternalError
 
 ANSWERED = "ok"
@@ -28,7 +28,6 @@ class Arrival:
 
     @property
     def elapsed_ms(self) -> float:
-        """Return the time since then."""
         return (self._clock() - self._arrived) * 1e3
 
     def is_after(self, other: Arrival) -> bool:
@@ -48,18 +47,6 @@ class Arrival:
         """Return the error of a request whose budget is spent."""
         message = f"expected an answer within {budget_ms:g} ms, {self.elapsed_ms:.1f} ms had passed"
         return DeadlineExceeded(f"{message} {stage}", "budget_ms")
-
-
-class ServiceCodec(Protocol):
-    """The service's half of a codec."""
-
-    def decode_request(self, payload: Payload) -> AnchorRequest:
-        """Read a request. Raises `InvalidRequest`."""
-        ...
-
-    def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """Write an answer. Raises `ValueError` if a number is not finite."""
-        ...
 
 
 @dataclass

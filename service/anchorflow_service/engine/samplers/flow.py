@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract import OdeSpec, WarmStart
 from anchorflow_client.errors import InvalidRequest
-from anchorflow_service.engine.interfaces import Arrays, BoundGraph, Context, Graphs
+from anchorflow_service.engine.conditioning.cost_map import MapScene
+from anchorflow_service.engine.interfaces import Arrays, BoundGraph, Context, Graphs, Samples
 from anchorflow_trajectory.ode.integrate import VectorField
 from anchorflow_trajectory.ode.methods import Method, method_named
 from anchorflow_trajectory.ode.schedule import Schedule, stage_strides, stage_times
@@ -159,3 +160,18 @@ def renoised(warm_start: WarmStart, x_0: Array, route: NDArray[np.intp], scene: 
         )
     x_1 = warm_states(scene, trajectory, route, dt=warm_start.dt)
     return np.float32(warm_start.tau) * x_1 + np.float32(1.0 - warm_start.tau) * x_0
+
+
+def drawn_round_ways(scene: MapScene) -> Samples:
+    """Return the states of splines about the ways of a scene, without a network.
+
+    The flows were trained on worlds that stand still. What they make of a way past somebody is
+    worse than the way itself (docs/people.md).
+    """
+    request, problem = scene.request, scene.scene
+    rng = np.random.Generator(np.random.PCG64(request.seed))
+    drawn = problem.spread_round_routes(request.num_samples, rng)
+    states = problem.states_of(drawn.splines)
+    if warm := request.warm_start:
+        states = renoised(warm, states, drawn.route, problem)
+    return Samples(states, drawn.route)
