@@ -117,11 +117,7 @@ def map_fields(
     origin: ArrayLike | None,
     channel_weights: ArrayLike | None = None,
 ) -> CostMap | Mapping[str, Any] | None:
-    """Convert a map of `plan` to one of `AnchorRequest`, without a copy.
-
-    Raises:
-        InvalidRequest: one of the others is given beside a map that has its own.
-    """
+    """Convert a map of `plan` to that of `AnchorRequest`, uncopied. Raises `InvalidRequest`."""
     beside = {"resolution": resolution, "origin": origin}
     if channel_weights is not None:
         beside["channel_weights"] = channel_weights

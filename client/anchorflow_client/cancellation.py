@@ -22,7 +22,6 @@ class Cancellation:
 
     @property
     def is_cancelled(self) -> bool:
-        """Return whether `cancel` was called."""
         return self._is_cancelled
 
     def cancel(self) -> None:
@@ -99,7 +98,6 @@ class Deadline:
 
     @contextmanager
     def watched_by(self, callback: Callable[[], object]) -> Iterator[None]:
-        """Call `callback` if the request is cancelled inside the block, or was before."""
         with ExitStack() as stack:
             for each in self._cancellations:
                 stack.enter_context(each.watched_by(callback))

@@ -86,10 +86,8 @@ class RequestError(AnchorFlowError):
     ) -> RequestError:
         """Read the contract's error JSON back into the class that its code names.
 
-        A code that this version does not know gives a plain `RequestError` that carries it.
-
-        Raises:
-            InvalidAnswer: `answer` is not the contract's error JSON.
+        A code that this version does not know gives a plain `RequestError` that carries it. Raises
+        `InvalidAnswer` if it is not the contract's error JSON.
         """
         error = answer.get("error") if isinstance(answer, Mapping) else None
         if not isinstance(error, Mapping):
@@ -153,7 +151,6 @@ class Overloaded(RequestError):
         self.retry_after_s = retry_after_s
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
-        """The contract's error JSON, with `retry_after_s` where it is known."""
         said = super().to_dict()
         if self.retry_after_s is not None:
             said["error"]["retry_after_s"] = self.retry_after_s

@@ -61,7 +61,6 @@ class OipCodec:
     content_type = accept = "application/octet-stream"
 
     def encode_request(self, request: AnchorRequest) -> Payload:
-        """Write a request's fields; those left to the card are omitted."""
         fields = request_fields(request)
         header = {"id": fields.pop("request_id")} if "request_id" in fields else {}
         outputs = [{"name": name} for name in fields.pop("outputs", ())]
@@ -72,11 +71,7 @@ class OipCodec:
         return pack(header, "inputs", tensors)
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """Read a request from untrusted bytes; its map is a view of them.
-
-        Raises:
-            InvalidRequest: names the field, the tensor, "header_length", "header" or "body".
-        """
+        """Read a request from untrusted bytes; its map is a view of them."""
         value, data = unpack_header(payload)
         header = fields_of(value, "", ("id", "parameters", "inputs", "outputs"), ("inputs",))
         leaves = scalars(header.get("parameters"))
@@ -89,7 +84,6 @@ class OipCodec:
         return request_of(tensors, leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """Write an answer. Raises `ValueError` if a number is not finite."""
         leaves = flatten(answer_fields(batch))
         tensors = {name: leaves.pop(name) for name in answer_tensors(batch)}
         header = {
@@ -122,11 +116,7 @@ class OipCodec:
 def request_of(
     tensors: Mapping[str, NDArray[Any]], leaves: Mapping[str, Any], request_id: Any
 ) -> AnchorRequest:
-    """Build a request from a message's untrusted tensors, parameters and id.
-
-    Raises:
-        InvalidRequest: names the field or the tensor.
-    """
+    """Build a request from a message's untrusted parts. Raises `InvalidRequest`."""
     leaves = dict(leaves)
     beside: dict[str, Any] = {
         PATH_OF_INPUT.get(name, INPUTS + name): tensor

@@ -49,7 +49,6 @@ class Attempts:
         clock: Callable[[], float],
         draw: Callable[[], float],
     ) -> None:
-        """Begin the first attempt now."""
         self._clock = clock
         self._draw = draw
         self._start = clock()

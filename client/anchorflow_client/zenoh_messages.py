@@ -89,11 +89,7 @@ class RequestAttachment:
 
     @classmethod
     def from_bytes(cls, data: bytes | None) -> RequestAttachment:
-        """Read untrusted bytes; None is an empty attachment.
-
-        Raises:
-            InvalidRequest: names attachment or attachment.FIELD.
-        """
+        """Read untrusted bytes; None is an empty attachment. Raises `InvalidRequest`."""
         if data is None:
             return cls()
         said = fields_of(_parsed(data), "attachment", tuple(_CHECK_OF_FIELD))

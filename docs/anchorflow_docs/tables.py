@@ -56,7 +56,6 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def code(text: str) -> str:
-    """Return text as code."""
     return f"`{text}`"
 
 

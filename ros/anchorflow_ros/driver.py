@@ -87,7 +87,6 @@ class Driver:
         self._answered_at: float | None = None
 
     def close(self) -> None:
-        """Send no more requests."""
         self.planner.close()
 
     def tick(self, now: float, *, steady: float) -> Decision:

@@ -150,11 +150,7 @@ def tracks_of(message: Any, *, growth: float = 0.0) -> Tracks:
 
 
 def points_of(message: Any) -> dict[str, Array]:
-    """Return the scalar fields of a sensor_msgs/PointCloud2, each [M], by name.
-
-    Raises:
-        InvalidRequest: names `tracks`, if the data hold fewer points than it says.
-    """
+    """Return a PointCloud2's scalar fields, each [M], by name. Raises `InvalidRequest`."""
     count, step = int(message.width) * int(message.height), int(message.point_step)
     data = np.frombuffer(bytes(message.data), np.uint8)
     rows = int(message.row_step) if message.height > 1 else step * int(message.width)

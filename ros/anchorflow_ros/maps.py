@@ -60,7 +60,6 @@ class MapReader:
         self._center: NDArray[np.float64] | None = None
 
     def reset(self) -> None:
-        """Forget the grid."""
         self.grid = self._cost_map = self._center = None
         self.changed_at = -math.inf
 
@@ -69,11 +68,7 @@ class MapReader:
         self._take(RosGrid.of(message), now)
 
     def on_update(self, message: Any, *, now: float) -> None:
-        """Put a map_msgs/OccupancyGridUpdate or nav2_msgs/CostmapUpdate into the present grid.
-
-        Raises:
-            InvalidRequest: there is no grid yet, or it was made for another one.
-        """
+        """Put an OccupancyGridUpdate or CostmapUpdate into the grid. Raises `InvalidRequest`."""
         if self.grid is None:
             raise InvalidRequest("expected a whole grid before its updates, got none", "update")
         self._take(self.grid.updated(message), now)
@@ -81,10 +76,8 @@ class MapReader:
     def cost_map(self, around: NDArray[np.float64]) -> CostMap:
         """Return the cost map of the grid, or of the window round a place [2] in m.
 
-        It is the same object while grid and window are the same.
-
-        Raises:
-            InvalidRequest: there is no grid yet, or it has more cells than a request allows.
+        It is the same object while grid and window are the same. Raises `InvalidRequest` if there
+        is no grid yet, or it has more cells than a request allows.
         """
         if self.grid is None:
             raise InvalidRequest("expected a map, got none yet", "map")

@@ -117,18 +117,15 @@ class AnchorFlowNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop the loop and the robot."""
         self._stop()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget everything."""
         self._stop()
         self._release()
         return super().on_cleanup(state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop the robot and end."""
         self._stop()
         self._release()
         return super().on_shutdown(state)
@@ -149,7 +146,6 @@ class AnchorFlowNode(LifecycleNode):
             raise
 
     def stop_robot(self) -> None:
-        """Command a standstill at once."""
         if (publisher := self._outputs.get("command")) is not None:
             header = header_of(self._now(), self._base_frame())
             publisher.publish(twist_of(np.zeros(3), header))
@@ -202,7 +198,6 @@ class AnchorFlowNode(LifecycleNode):
         self._owned.append(lambda: self.destroy_service(service))
 
     def _on_cancel(self, request: Any, response: Any) -> Any:
-        """Forget the goal."""
         del request
         if self._driver is not None:
             self._driver.inputs.cancel()

@@ -101,7 +101,6 @@ class OdometryReader:
         self._last: RobotMotion | None = None
 
     def reset(self) -> None:
-        """Forget the last message."""
         self._last = None
 
     def read(self, message: Any) -> RobotMotion:

@@ -118,11 +118,7 @@ class Settings:
 
     @classmethod
     def of(cls, given: Mapping[str, Any] | None = None) -> Settings:
-        """Check the parameters; those that are not given have their defaults.
-
-        Raises:
-            InvalidRequest: names the parameter.
-        """
+        """Check the parameters; others have their defaults. Raises `InvalidRequest`."""
         for name in given or {}:
             choice(name, "parameter", tuple(PARAMETERS))
         values = {name: default for name, (default, _) in PARAMETERS.items()} | dict(given or {})
@@ -163,11 +159,7 @@ class Settings:
 
 
 def robot_of(values: Mapping[str, Any], footprint: Any = None) -> Robot:
-    """Return the robot of the parameters, with another footprint [K,2] if one is given.
-
-    Raises:
-        InvalidRequest: names the parameter.
-    """
+    """Return the robot, with another footprint [K,2] if one is given. Raises `InvalidRequest`."""
     if footprint is None and values["robot.footprint"]:
         footprint = _json(values["robot.footprint"], "robot.footprint", "a list of corners")
     names = ("kind", "v_max", "a_max", "omega_max", "alpha_max", "min_turning_radius", "reverse")

@@ -97,7 +97,6 @@ class SceneReader:
             self.goal = goal
 
     def cancel(self) -> None:
-        """Forget the goal."""
         self.goal = None
         self.refused.pop("goal", None)
 
@@ -132,11 +131,7 @@ class SceneReader:
             yield Fault(part, WARN, text)
 
     def scene(self, now: float) -> Scene:
-        """Return the scene at a time of the messages' clock.
-
-        Raises:
-            Stopped: a part is missing, refused or too old, or goal or robot are off the map.
-        """
+        """Return the scene at a time of the messages' clock. Raises `Stopped`."""
         motion, goal = self._motion, self.goal
         if motion is None:
             raise Stopped("odometry", self.refused.get("odometry", "no message has arrived"))

@@ -13,11 +13,7 @@ class ServiceError(AnchorFlowError):
 
 
 def client_of(settings: Settings) -> BaseClient:
-    """Return the client of a service; one of this process loads its bundle first.
-
-    Raises:
-        ServiceError: the package that it needs is not installed, or its bundle cannot be read.
-    """
+    """Return a service's client; one of this process loads its bundle. Raises `ServiceError`."""
     where: str = settings["service"]
     timeout_s = settings["service.max_age_s"]
     if where == IN_PROCESS:

@@ -70,12 +70,7 @@ class AnchorBatch:
     """Optional inputs of the card that the request left out."""
 
     def __post_init__(self) -> None:
-        """Freeze the arrays.
-
-        Raises:
-            ValueError: there are no trajectories, the shapes do not belong together, or a time
-                step is not above 0.
-        """
+        """Freeze the arrays. Raises `ValueError` if shapes or times are wrong."""
         if "trajectories" not in self.arrays:
             raise ValueError("trajectories: expected [N,T,D] or [B,N,T,D], got none")
         arrays = {name: read_only(_typed(name, array)) for name, array in self.arrays.items()}
@@ -312,11 +307,7 @@ SHORTEST = 1e-9  # m², a segment's length squared below which it is a point
 
 
 def beside_route(points: NDArray[np.floating], route: ArrayLike) -> NDArray[np.float64]:
-    """Return the distances [...] in m of points [..., 2] from a polyline [V, 2].
-
-    Raises:
-        InvalidRequest: the route is none of two or more finite points; names `route`.
-    """
+    """Return m [...] from points [..., 2] to a polyline [V, 2]. Raises `InvalidRequest`."""
     line = polyline(route)
     start, along = line[:-1], np.diff(line, axis=0)
     length = np.maximum((along**2).sum(-1), SHORTEST)

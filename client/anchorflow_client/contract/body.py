@@ -43,7 +43,6 @@ class Kinematics:
 
     @classmethod
     def from_fields(cls, value: Any) -> "Kinematics":
-        """Check the JSON object."""
         value = vars(value) if isinstance(value, Kinematics) else value
         asked = cls(**KINEMATICS.read(value, "kinematics"))
         if asked.kind == "ackermann" and asked.min_turning_radius == 0.0:
@@ -53,11 +52,7 @@ class Kinematics:
 
 
 def read_footprint(value: Any) -> NDArray[np.float64]:
-    """Return the corners [K,2] in m of a convex outline, counter-clockwise.
-
-    Raises:
-        InvalidRequest: names `footprint` if they are no convex polygon about the robot's origin.
-    """
+    """Return a convex outline's corners [K,2] in m, counter-clockwise. Raises `InvalidRequest`."""
     field = "footprint"
     corners = numbers(value, field, FOOTPRINT.interval, FOOTPRINT.shape)
     if corners.ndim != 2 or corners.shape[1] != 2:

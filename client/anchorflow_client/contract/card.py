@@ -164,11 +164,7 @@ class TruncatedDiffusionSpec:
     kind: Literal["truncated_diffusion"] = "truncated_diffusion"
 
     def chosen(self, choice: SamplerChoice) -> TruncatedDiffusionSpec:
-        """Return this sampler with the number of steps that a request chooses.
-
-        Raises:
-            InvalidRequest: it names a method, or another number than those of `choices`.
-        """
+        """Return this sampler with a request's number of steps. Raises `InvalidRequest`."""
         if choice.method is not None:
             raise InvalidRequest(
                 f"expected none, as a diffusion has none, got {choice.method!r}", "sampler.method"
@@ -196,11 +192,7 @@ class GuardSpec:
     kind: Literal["guard"] = "guard"
 
     def chosen(self, choice: RefineChoice) -> GuardSpec:
-        """Return this finish as a request chooses it.
-
-        Raises:
-            InvalidRequest: it chooses what only a spline has.
-        """
+        """Return this finish as a request chooses it. Raises `InvalidRequest`."""
         for name in choice.given:
             if name != "guard":
                 message = "expected none, as anchors of a car are not fitted by splines"
@@ -348,9 +340,7 @@ class ModelCard:
     def from_dict(cls, value: Mapping[str, Any]) -> ModelCard:
         """Read `to_dict` back; keys and kinds that this version does not know are ignored.
 
-        Raises:
-            KeyError, TypeError, ValueError, AttributeError: a key is missing, or its value is of
-                another type than the card's.
+        Raises `KeyError`, `TypeError`, `ValueError` or `AttributeError` if it is no card.
         """
         return cls(
             **{each.name: value[each.name] for each in fields(cls) if each.name in value}

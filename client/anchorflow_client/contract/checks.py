@@ -67,13 +67,11 @@ class Interval:
         return above & below
 
     def holds(self, number: float) -> bool:
-        """Return whether one number is inside."""
         above = number > self.low if self.open_low else number >= self.low
         below = number < self.high if self.open_high else number <= self.high
         return bool(above and below)
 
     def holds_all(self, values: NDArray[Any]) -> bool:
-        """Return whether every number is inside."""
         if values.size <= SCALAR_COMPARISONS:
             inside = all(map(self.holds, values.ravel().tolist()))
         else:  # the minimum and maximum of an array with a NaN are NaN
@@ -126,7 +124,6 @@ def is_number(value: Any) -> bool:
 
 
 def is_number_type(kind: type) -> bool:
-    """Return whether values of this type are JSON numbers."""
     return issubclass(kind, _NUMBERS) and not issubclass(kind, bool)
 
 
@@ -178,7 +175,6 @@ def text(value: Any, field: str) -> str:
 
 
 def choice(value: Any, field: str, options: Collection[str]) -> str:
-    """Return one of the strings in `options`."""
     if not isinstance(value, str) or value not in options:
         raise expected(field, "one of " + ", ".join(options), value)
     return value
@@ -224,7 +220,7 @@ def numbers(
     *,
     hint: Callable[[NDArray[Any]], str] = lambda _: "",
 ) -> NDArray[np.float64]:
-    """Return a new float64 array of finite numbers inside `interval`.
+    """Return a new float64 array of finite numbers inside `interval`. Raises `InvalidRequest`.
 
     Args:
         value: nested lists, {"dtype", "shape", "base64"}, or what numpy converts to an array.
@@ -232,9 +228,6 @@ def numbers(
         interval: the range of each number.
         shape: the shapes that the caller accepts, for the message.
         hint: returns the end of the message about a number outside the interval.
-
-    Raises:
-        InvalidRequest: ragged, too deep, not numbers, not finite or out of range.
     """
     if isinstance(value, dict):
         value = array_of_bytes(value, field)
@@ -246,11 +239,7 @@ def numbers(
 
 
 def array_of_bytes(value: Mapping[str, Any], field: str) -> NDArray[Any]:
-    """Decode {"dtype", "shape", "base64"} into a read-only array.
-
-    Raises:
-        InvalidRequest: names the key, such as x_curr.base64.
-    """
+    """Decode {"dtype", "shape", "base64"} to a read-only array. Raises `InvalidRequest`."""
     names = ("dtype", "shape", "base64")
     fields_of(value, field, names, names)
     dtype = DTYPES[choice(value["dtype"], f"{field}.dtype", DTYPES)]
@@ -343,7 +332,6 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def frozen(array: Array) -> Array:
-    """Make the array read-only and return it."""
     array.flags.writeable = False
     return array
 

@@ -139,7 +139,6 @@ class CardChoice:
 
     @classmethod
     def from_fields(cls: type[OwnChoice], value: Any) -> OwnChoice:
-        """Check the JSON object."""
         name, rows = ("sampler", SAMPLER) if issubclass(cls, SamplerChoice) else ("refine", REFINE)
         return cls(**rows.read(value.given if isinstance(value, cls) else value, name))
 
@@ -271,7 +270,6 @@ class GoalTolerance:
 
     @classmethod
     def from_fields(cls, value: Any) -> "GoalTolerance":
-        """Check the JSON object."""
         value = vars(value) if isinstance(value, GoalTolerance) else value
         return cls(**GOAL_TOLERANCE.read(value, "goal_tolerance"))
 

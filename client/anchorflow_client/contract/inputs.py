@@ -65,15 +65,11 @@ Inputs: TypeAlias = Mapping[str, Input]
 
 
 def read_inputs(value: Any) -> Inputs:
-    """Read inputs by name from untrusted JSON, or from a Python caller.
+    """Read inputs by name from untrusted JSON, or from a Python caller. Raises `InvalidRequest`.
 
-    Args:
-        value: by name: an array, nested lists of numbers, {"dtype", "shape", "base64"},
-            {"png" or "jpeg": base64}, an `EncodedImage`, a string or a list of strings; None leaves
-            the input out.
-
-    Raises:
-        InvalidRequest: names inputs.NAME.
+    value: by name: an array, nested lists of numbers, {"dtype", "shape", "base64"},
+        {"png" or "jpeg": base64}, an `EncodedImage`, a string or a list of strings; None leaves
+        the input out
     """
     if not isinstance(value, Mapping):
         raise expected("inputs", "an object of inputs by name", value)
@@ -105,10 +101,7 @@ def texts(values: Sequence[str], field: str, shape: Sequence[int]) -> NDArray[An
 def exact_numbers(value: Any, field: str, shape: str) -> NDArray[Any]:
     """Return nested lists as float64, or as int64 if all are whole and float64 would round one.
 
-    shape: for the message
-
-    Raises:
-        InvalidRequest: as `numbers`.
+    shape: for the message of an `InvalidRequest`, which is that of `numbers`
     """
     if isinstance(value, Mapping):
         raise expected(field, f"a list of numbers of shape {shape}", value)
@@ -124,9 +117,7 @@ def exact_numbers(value: Any, field: str, shape: str) -> NDArray[Any]:
 def bind(inputs: Inputs, specs: Sequence[TensorSpec]) -> tuple[Inputs, int, bool]:
     """Check inputs against a card: return each as [B,…] in the card's dtype, B, and `batched`.
 
-    Raises:
-        InvalidRequest: names inputs.NAME, which is missing and not optional, unknown, or of another
-            dtype, shape or range than the card's.
+    Raises `InvalidRequest` if one is missing, unknown or not as the card says.
     """
     needed = [spec.name for spec in specs if not spec.optional]
     fields_of(inputs, "inputs", [spec.name for spec in specs], needed)

@@ -72,11 +72,7 @@ class RosGrid:
 
     @classmethod
     def of(cls, message: Any) -> RosGrid:
-        """Read a nav_msgs/OccupancyGrid or nav2_msgs/Costmap.
-
-        Raises:
-            InvalidRequest: it is turned, its data does not fit its size, or a value has no meaning.
-        """
+        """Read a nav_msgs/OccupancyGrid or nav2_msgs/Costmap. Raises `InvalidRequest`."""
         if is_raw := hasattr(message, "metadata"):
             about = message.metadata
             height, width = about.size_y, about.size_x

@@ -60,7 +60,6 @@ class Number(Row):
     whole: bool = False
 
     def read(self, value: Any, path: str) -> float:
-        """Return the number."""
         check = integer if self.whole else number
         return check(value, path, self.interval)
 
@@ -70,7 +69,6 @@ class Flag(Row):
     """A boolean."""
 
     def read(self, value: Any, path: str) -> bool:
-        """Return the boolean."""
         return boolean(value, path)
 
 
@@ -81,7 +79,6 @@ class Text(Row):
     options: tuple[str, ...] = ()
 
     def read(self, value: Any, path: str) -> str:
-        """Return the text."""
         return choice(value, path, self.options) if self.options else text(value, path)
 
 
@@ -121,7 +118,6 @@ class FlowTimes(Array):
     """Increasing times from 0 to 1, "8step" or {"uniform": n}."""
 
     def read(self, value: Any, path: str) -> tuple[float, ...]:
-        """Return the times."""
         match value:
             case str():
                 if value == "8step":

@@ -58,12 +58,7 @@ class AnswerParser:
         self._resume()
 
     def end(self) -> None:
-        """Note that the connection has ended.
-
-        Raises:
-            RemoteDisconnected: no byte arrived.
-            HTTPException: the answer is incomplete.
-        """
+        """Note that the connection has ended. Raises `RemoteDisconnected` or `HTTPException`."""
         self._has_ended = True
         self._resume()
 

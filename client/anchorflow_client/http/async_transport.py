@@ -20,11 +20,7 @@ class AsyncSocketTransport:
     """
 
     def __init__(self, url: str, *, connect_timeout_s: float, max_connections: int) -> None:
-        """Check the arguments; `send` connects.
-
-        Raises:
-            UsageError: `url` is invalid, or `max_connections` is not a whole number from 1.
-        """
+        """Check the arguments; `send` connects. Raises `UsageError`."""
         self._address = Address.of(url)
         if type(max_connections) is not int or max_connections < 1:
             raise UsageError(
@@ -148,12 +144,7 @@ class _Connection(asyncio.Protocol):
         )
 
     async def send(self, request: Sequence[bytes], timeout_s: float) -> HttpAnswer:
-        """Send a request and return its answer.
-
-        Raises:
-            OSError: the connection broke, or no byte arrived for `timeout_s`.
-            HTTPException: the answer is not HTTP.
-        """
+        """Send a request and return its answer. Raises `OSError` or `HTTPException`."""
         if self._transport is None or self._transport.is_closing():
             raise _closed()
         self._parser, self._timeout_s = AnswerParser(), timeout_s
@@ -169,7 +160,6 @@ class _Connection(asyncio.Protocol):
         return self._parser.answer
 
     def abort(self) -> None:
-        """Close the connection at once."""
         if self._transport is not None:
             self._transport.abort()
 

@@ -49,7 +49,6 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Close the connection."""
-        ...
 
 
 class AsyncTransport(Protocol):
@@ -68,7 +67,6 @@ class AsyncTransport(Protocol):
 
     async def aclose(self) -> None:
         """Close the connections."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -83,12 +81,7 @@ class Address:
 
     @classmethod
     def of(cls, url: str) -> Address:
-        """Parse a service's URL.
-
-        Raises:
-            UsageError: `url` is not http://host[:port] or https://host[:port], its host or port is
-                invalid, it names a user, or its path cannot be sent in a request.
-        """
+        """Parse a service's http:// or https:// URL. Raises `UsageError`."""
         if "@" in re.split(r"[/?#]", f"{url}".partition("//")[2] or f"{url}")[0]:
             raise UsageError(  # without the URL, which may hold a password
                 f"{EXPECTED_URL} one with a user before the host; a bearer token is given as "
@@ -124,12 +117,7 @@ class Address:
         return context
 
     def head(self, method: str, path: str, headers: Mapping[str, str], body: bytes | None) -> bytes:
-        """Return the head of a request.
-
-        Raises:
-            UsageError: a header is not printable ASCII; the message does not repeat its value,
-                which may be a token.
-        """
+        """Return a request's head. Raises `UsageError` without a value, which may be a token."""
         lines = [f"{method} {path} HTTP/1.1"]
         all_headers = {"Host": self.authority, "Accept-Encoding": "identity", **headers}
         if body is not None:

@@ -79,7 +79,6 @@ class Pacing:
         self.answered()
 
     def is_due(self, now: float) -> bool:
-        """Return whether a request may be sent now."""
         return now >= self._not_before
 
     def sent(self, at: float) -> None:
@@ -92,7 +91,6 @@ class Pacing:
         self._pauses_ms = exponential_backoff(config.first_retry_ms, config.longest_retry_ms)
 
     def failed(self, error: AnchorFlowError, now: float) -> None:
-        """Note a failed request."""
         if isinstance(error, InvalidRequest):
             return  # the service works, and the next observation may be valid
         wait_s = at_least_retry_after(1e-3 * next(self._pauses_ms), error)

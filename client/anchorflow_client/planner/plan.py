@@ -73,10 +73,7 @@ class Plan:
         """Return [N,T,3D] position, velocity, acceleration of the anchors from `ahead_s` from now.
 
         Each is sampled at its own `batch.dt`; an anchor that has ended continues at its last
-        velocity.
-
-        Raises:
-            UsageError: the plan is not usable.
+        velocity. Raises `UsageError` if the plan is not usable.
         """
         if self.batch is None:
             raise UsageError(f"expected a usable plan, got one that is {self.state.value}")

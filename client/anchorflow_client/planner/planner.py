@@ -178,10 +178,8 @@ class Planner:
     def follow(self, index: int) -> None:
         """Set the anchor of the last plan that the robot follows, if it is not `best`.
 
-        Its route becomes the one in use, and the next request starts from it.
-
-        Raises:
-            InvalidRequest: there is no anchor of that index.
+        Its route becomes the one in use, and the next request starts from it. Raises
+        `InvalidRequest` if there is no anchor of that index.
         """
         if self._answer is not None:
             index = integer(index, "index", Interval(0, len(self._answer.batch.trajectories) - 1))

@@ -85,11 +85,7 @@ class Observation:
         x_goal: Array,
         options: Mapping[str, Any],
     ) -> Observation:
-        """Copy the loop's own map and options; options that are None are left out.
-
-        Raises:
-            InvalidRequest: there is no map, or a field cannot be read as an array.
-        """
+        """Copy the loop's map and the options that are not None. Raises `InvalidRequest`."""
         if cost_map is None:
             raise InvalidRequest("expected a map to plan on, got none", "cost_map")
         if not isinstance(cost_map, CostMap):
@@ -174,12 +170,7 @@ class LimitsSource:
         self._cards: tuple[ModelCard, ...] = ()
 
     def of(self, options: Mapping[str, Any]) -> RobotLimits:
-        """Return the limits for a request with these options.
-
-        Raises:
-            InvalidRequest: the `v_max`, `robot_radius`, `footprint` or `model` among the options
-                is invalid.
-        """
+        """Return the limits for a request with these options. Raises `InvalidRequest`."""
         v_max, radius = options.get("v_max"), options.get("robot_radius")
         v_max = None if v_max is None else number(v_max, "v_max", V_MAX)
         radius = None if radius is None else number(radius, "robot_radius", ROBOT_RADIUS)
@@ -232,8 +223,7 @@ def build_request(
     in_use: the anchor to start from; None: from noise
     stop: stop at a local goal that would be passed
 
-    Raises:
-        InvalidRequest: the observation breaks the contract, or the map has no room for a goal.
+    Raises `InvalidRequest`, also if the map has no room for a goal.
     """
     cost_map = CostMap.from_fields(seen.cost_map)
     if cost_map.data.ndim != 3:
@@ -270,11 +260,7 @@ def build_request(
 
 
 def at_the_state(obstacles: Obstacles | Mapping[str, Any], age_s: float) -> Obstacles:
-    """Return a copy of obstacles observed `age_s` before the robot is in the request's state.
-
-    Raises:
-        InvalidRequest: names the field, or `obstacles_age_s` if it is not from 0 to 600.
-    """
+    """Return obstacles `age_s` after they were observed. Raises `InvalidRequest`."""
     age_s = number(age_s, "obstacles_age_s", LATER)
     observed = Obstacles.from_fields(obstacles)
     return observed.later(age_s) if age_s > 0.0 else observed

@@ -60,13 +60,7 @@ def _fault(endpoint: str, approach: Approach) -> Exception | None:
 
 
 def _try_to_connect(endpoint: str, approach: Approach) -> None:
-    """Connect and disconnect.
-
-    Raises:
-        OSError: there is no listener.
-        ValueError: the host is not a valid name.
-        _Untrusted: TLS fails.
-    """
+    """Connect and disconnect. Raises `OSError`, `ValueError` for a bad host, or `_Untrusted`."""
     protocol, _, rest = endpoint.partition("/")
     host, _, port = re.split(r"[?#]", rest)[0].rpartition(":")
     if protocol not in ("tcp", "tls") or not port.isdecimal():

@@ -107,12 +107,7 @@ class Connection:
         self._explaining = Background(lambda: why_alone(config_of(settings)), name="diagnosis")
 
     def network(self, deadline: Deadline) -> Network:
-        """Return the network.
-
-        Raises:
-            TimedOut, Cancelled: it is not joined yet; joining continues.
-            ConnectionFailed, Unauthorized, ZenohConfigError: it cannot be joined.
-        """
+        """Return the network. Raises why it is not joined by the deadline; joining continues."""
         check_not_forked()
         if self._is_closed:
             raise ConnectionFailed("the client is closed")
@@ -278,12 +273,7 @@ class _InfoQuery:
 
 
 def _read_info(reply: zenoh.Reply) -> ReplicaInfo:
-    """Read a reply.
-
-    Raises:
-        TimedOut: the replica did not reply in time.
-        InvalidAnswer: the reply cannot be read, which is logged too.
-    """
+    """Read a reply. Raises `TimedOut`, or `InvalidAnswer`, which is logged too."""
     if reply.ok is not None:
         try:
             return ReplicaInfo.from_bytes(reply.ok.payload.to_bytes())

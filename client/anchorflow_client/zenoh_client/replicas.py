@@ -120,9 +120,7 @@ class Replicas:
     def choose(self, model: str | None, tried: Collection[str] = ()) -> Choice | None:
         """Return the untried replica with the shortest expected time; None if there is none.
 
-        Raises:
-            UnknownModel: the info of every replica is known and none serves the model; for None,
-                none serves its default.
+        Raises `UnknownModel` once every replica is known and none serves the model, or a default.
         """
         with self._changed:
             self._check_model(model)

@@ -190,7 +190,6 @@ def crop_to(axis: Axes, scene: Scene, paths: Array) -> None:
 
 
 def draw_best(axis: Axes, anchors: AnchorBatch, theme: Theme, colour: Any = None) -> None:
-    """Draw the best anchor."""
     axis.plot(
         *anchors.trajectories[anchors.best, :, :2].T,
         color=colour or theme.scores(1.0),

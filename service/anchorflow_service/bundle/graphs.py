@@ -61,25 +61,17 @@ class OnnxGraphs:
         self._wide: dict[str, Graph] = {}
 
     def run(self, role: str, inputs: Mapping[str, Array], *, threads: int = 1) -> dict[str, Array]:
-        """Run a graph on those of the inputs that it takes; return its outputs in new arrays."""
         wide = self._wide.get(role) if threads > 1 else None
         graph = wide or self._narrow[role]
         return graph(**graph.select(inputs))
 
     def bind(self, role: str, inputs: Mapping[str, Tensor]) -> BoundGraph:
-        """Fix some inputs of a graph for a loop that writes the outputs into its own arrays."""
         return BoundGraph(self._narrow[role], self.select(role, inputs))
 
     def select(self, role: str, arrays: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Return those of the arrays that a graph takes by name."""
         return self._narrow[role].select(arrays)
 
     def settle(self, role: str, inputs: Mapping[str, Array]) -> dict[str, Array]:
-        """Decide whether a graph may run on several threads; return its outputs on one.
-
-        It may if both give the same bytes: on some machines the kernels differ by their threads,
-        and an answer must not depend on how busy the service is.
-        """
         narrow = self._narrow[role]
         taken = narrow.select(inputs)
         outputs = narrow(**taken)
@@ -115,12 +107,10 @@ class Graph:
             raise BundleError(path, wrong)
 
     def __call__(self, **inputs: Array) -> dict[str, Array]:
-        """Return the outputs by name, in new arrays."""
         outputs: Sequence[Any] = self.session.run(self.output_names, inputs)
         return dict(zip(self.output_names, outputs, strict=True))
 
     def select(self, arrays: Mapping[str, AnyTensor]) -> dict[str, AnyTensor]:
-        """Return those of the arrays that the graph takes by name."""
         return {name: arrays[name] for name in self.input_names if name in arrays}
 
 
@@ -167,12 +157,7 @@ class BoundGraph:
 def open_graph(
     bundle: Bundle, role: str, *, threads: int = 1, provider: str = DEFAULT_PROVIDER
 ) -> Graph:
-    """Open the graph of a bundle's role.
-
-    Raises:
-        BundleError: onnxruntime cannot open it, or its signature is not the manifest's.
-        ProviderError: the provider is not available.
-    """
+    """Open a role's graph. Raises `BundleError` or `ProviderError`."""
     entry, path = bundle.manifest.graphs[role], bundle.graph_path(role)
     return Graph(
         path, inputs=entry.inputs, outputs=entry.outputs, threads=threads, provider=provider

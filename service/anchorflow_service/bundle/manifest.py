@@ -244,7 +244,6 @@ class Manifest(Entry):
         return replace(self.answer, extras=(*self.answer.extras, raw))
 
     def to_json(self) -> bytes:
-        """Return the bytes of manifest.json."""
         return self.model_dump_json(indent=2).encode() + b"\n"
 
 

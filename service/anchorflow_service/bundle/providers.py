@@ -36,11 +36,7 @@ class ProviderError(AnchorFlowError):
 
 
 def provider_named(name: str) -> str:
-    """Return onnxruntime's own name of a provider of this installation.
-
-    Raises:
-        ProviderError: no such provider, or one that this build of onnxruntime lacks.
-    """
+    """Return onnxruntime's own name of a provider. Raises `ProviderError` if it lacks that."""
     if name not in PROVIDERS:
         raise ProviderError(f"provider: expected one of {', '.join(PROVIDERS)}, got {name!r}")
     offered = ort.get_available_providers()
@@ -84,7 +80,6 @@ class Device:
     provider: str
 
     def upload(self, array: NDArray[Any]) -> ort.OrtValue:
-        """Copy an array to the device."""
         return ort.OrtValue.ortvalue_from_numpy(
             np.ascontiguousarray(array), self.name, FIRST_DEVICE
         )

@@ -49,11 +49,9 @@ class Bundle:
     card: ModelCard
 
     def graph_path(self, role: str) -> Path:
-        """Return the path of a role's graph."""
         return self.path / self.manifest.graphs[role].file
 
     def file_path(self, role: str) -> Path:
-        """Return the path of a role's other file."""
         return self.path / self.manifest.files[role].file
 
     def fault(self, wrong: str) -> BundleError:
@@ -62,11 +60,7 @@ class Bundle:
 
 
 def load_bundle(path: Path | str) -> Bundle:
-    """Read a bundle's manifest and check its files against it.
-
-    Raises:
-        BundleError: the manifest is missing or wrong, or a file is missing or has another hash.
-    """
+    """Read a bundle's manifest and check its files against it. Raises `BundleError`."""
     folder = Path(path)
     manifest_path = folder / FILE_NAME
     data = read_file(manifest_path)
@@ -80,11 +74,7 @@ def load_bundle(path: Path | str) -> Bundle:
 
 
 def read_file(path: Path) -> bytes:
-    """Read a bundle's file.
-
-    Raises:
-        BundleError: it cannot be read, or is a pipe or a device, which could block forever.
-    """
+    """Read a bundle's file. Raises `BundleError`, also for a pipe, which could block forever."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):
             raise BundleError(path, "cannot be read: not a regular file")

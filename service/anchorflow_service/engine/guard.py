@@ -60,7 +60,6 @@ class GuardFinish:
         return self._guarded(arrays, self._guard(samples.context, scene))
 
     def reason(self, arrays: Arrays, scene: ConditionedScene) -> str | None:  # noqa: ARG002
-        """Return why no trajectory is safe; None if one is, or if that is not asked for."""
         if SAFE not in arrays or arrays[SAFE].any():
             return None
         return told(Verdict(arrays[CAUSES], arrays[TIMES]))
@@ -105,7 +104,6 @@ class GuardFinish:
 
 
 def car_of(entry: GuardEntry, scene: ConditionedScene) -> Car:
-    """Return the car of a scene."""
     length, width = entry.size or scene.inputs((VEHICLE_SIZE,))[VEHICLE_SIZE][0].tolist()
     return Car(front=(1 - AXLE) * length, rear=AXLE * length, side=width / 2)
 

@@ -36,7 +36,6 @@ class BoundGraph(Protocol):
 
     def __call__(self, inputs: Mapping[str, Any], *, outputs: Mapping[str, Any]) -> None:
         """Run on the fixed inputs and these; write the outputs into the given arrays."""
-        ...
 
 
 class Graphs(Protocol):
@@ -63,7 +62,11 @@ class Graphs(Protocol):
         ...
 
     def settle(self, role: str, inputs: Mapping[str, Array]) -> Arrays:
-        """Decide whether a graph may run on several threads; return its outputs on one."""
+        """Decide whether a graph may run on several threads; return its outputs on one.
+
+        It may if both give the same bytes: on some machines the kernels differ by their threads,
+        and an answer must not depend on how busy the service is.
+        """
         ...
 
 
@@ -121,7 +124,6 @@ class Sampler(Protocol):
 
     def settle(self, scene: ConditionedScene) -> None:
         """Decide on a first scene what must be the same in every answer, whatever its threads."""
-        ...
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
         """Compute what is needed once a scene."""

@@ -28,10 +28,8 @@ class ThreadPool:
     def run(self, tasks: Sequence[Callable[[], Result]]) -> list[Result]:
         """Return what the tasks return. The first runs on the calling thread, the others beside it.
 
-        Returns when all tasks have ended: one that was left behind would keep a core busy.
-
-        Raises:
-            Exception: that of the first task that raises one.
+        Returns when all tasks have ended: one that was left behind would keep a core busy. Raises
+        what the first failing one raises.
         """
         others = [_Task(task) for task in tasks[1:]]
         if others:

@@ -27,7 +27,6 @@ JSON_FORMS: dict[str, Codec] = {"": CODECS[JSON], "base64": OrjsonCodec(base64=T
 
 
 def anchors_router(service: PlanningService) -> APIRouter:
-    """Return the route."""
     router = APIRouter(route_class=PlainRoute)
 
     @router.post("/anchors", tags=["anchors"], **ANCHORS_DOCUMENTATION)
@@ -69,7 +68,6 @@ def header_length(request: Request) -> int | None:
 
 
 def _codec_of(request: Request) -> Codec:
-    """Return the codec of the Content-Type."""
     header = request.headers.get("content-type", JSON)
     content_type = header.partition(";")[0].strip().lower()
     if content_type not in CODECS:

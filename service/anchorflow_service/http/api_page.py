@@ -47,7 +47,6 @@ PAGE = """<!doctype html>
 
 
 def api_router() -> APIRouter:
-    """Return `/docs`."""
     router = APIRouter(include_in_schema=False)
 
     @router.get("/docs")

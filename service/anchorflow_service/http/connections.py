@@ -109,7 +109,6 @@ class ConnectionSlots:
         self._idle.pop(connection, None)
 
     def mark_idle(self, connection: AnchorProtocol) -> None:
-        """Note that its request is over."""
         if connection in self._slots or connection in self._reserve:
             self._idle[connection] = None
 
@@ -166,7 +165,6 @@ class AnchorProtocol(HttpToolsProtocol):
         return self._phase is Phase.BODY
 
     def abort(self) -> None:
-        """Close the connection now."""
         self.transport.abort()
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -206,7 +204,6 @@ class AnchorProtocol(HttpToolsProtocol):
             self._send_timer.cancel()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Give the slot back."""
         self._bounds.leave(self)
         for timer in (self._receive_timer, self._send_timer):
             if timer is not None:
@@ -229,13 +226,11 @@ class AnchorProtocol(HttpToolsProtocol):
                 listener(Exchange("-", "-", UNROUTED, 400, 0.0, request_id, None))
 
     def begin_request(self, *, has_body: bool) -> None:
-        """Note that the head of a request is complete."""
         self._bounds.mark_busy(self)
         self._limit_receiving(self._bounds.limits.receive_s if has_body else None)
         self._phase, self._unparsed = Phase.BODY if has_body else Phase.RESPONSE, 0
 
     def end_body(self) -> None:
-        """Note that its body is complete."""
         self._phase = Phase.RESPONSE
         self._limit_receiving(None)
 

@@ -35,11 +35,10 @@ MAX_DISCARDING_S = 10.0
 
 
 async def read_body(request: Request, max_bytes: int) -> bytes:
-    """Read the whole body.
+    """Read the whole body. Raises `InvalidRequest` or `TooLarge`.
 
-    Raises:
-        InvalidRequest: it is compressed; a small body could unpack to a huge one.
-        TooLarge: by its Content-Length, or as soon as it grows beyond; the rest is discarded.
+    A compressed one is refused, as a small body could unpack to a huge one. The rest of one that
+    is too large, by its Content-Length or as it comes, is discarded.
     """
     encoding = request.headers.get("content-encoding", "identity")
     if encoding.lower() != "identity":

@@ -69,11 +69,7 @@ class InferCodec:
         """The default for outputs."""
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """Read a request from untrusted bytes, which are all JSON without a header length.
-
-        Raises:
-            InvalidRequest: names the field, the tensor, "header_length", "header" or "body".
-        """
+        """Read a request, which is all JSON without a header length."""
         value, data = (
             (parse(bytes(payload.body)), memoryview(b""))
             if payload.header_length is None
@@ -95,7 +91,6 @@ class InferCodec:
         return request_of(_tensors(header["inputs"], data), leaves, header.get("id"))
 
     def encode_answer(self, batch: AnchorBatch) -> Payload:
-        """Write the listed outputs. Raises `ValueError` if a number is not finite."""
         leaves = flatten(answer_fields(batch))
         tensors = {name: leaves.pop(name) for name in answer_tensors(batch)}
         wanted = self._wanted_of(tensors)

@@ -45,11 +45,7 @@ class TlsFiles:
     """Authorities; clients must present a certificate that one of them signed."""
 
     def context(self, *_: object) -> ssl.SSLContext:
-        """Return the context of a server that speaks TLS 1.2 or later.
-
-        Raises:
-            TlsError: naming the file that cannot be used.
-        """
+        """Return the context of a server that speaks TLS 1.2 or later. Raises `TlsError`."""
         if self.certificate is None or self.key is None:
             raise TlsError("TLS needs --tls-cert and --tls-key, both of them")
         for path in filter(None, (self.certificate, self.key, self.client_ca)):

@@ -185,7 +185,6 @@ def _few(items: Schema) -> Schema:
 
 
 def reference(name: str) -> Schema:
-    """Return a reference to the schema of that name."""
     return {"$ref": f"#/components/schemas/{name}"}
 
 

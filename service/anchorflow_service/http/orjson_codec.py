@@ -48,7 +48,6 @@ class OrjsonCodec(JsonCodec):
     """The contract as JSON in the service, which decodes pictures."""
 
     def decode_request(self, payload: Payload) -> AnchorRequest:
-        """Read a request from untrusted bytes. Raises `InvalidRequest`."""
         return with_pixels(AnchorRequest.from_fields(with_map(self._load(payload.body))))
 
     def _dump(self, value: dict[str, Any]) -> bytes:
@@ -93,9 +92,7 @@ def with_map(body: Any) -> Any:
     """Return a request's JSON with {"png": …} in cost_map.data decoded to float32 [1,H,W].
 
     The values 0 to 255 of a greyscale picture become 0 to 1; its first row is the map's first.
-
-    Raises:
-        InvalidRequest: names cost_map.data.png.
+    Raises `InvalidRequest`.
     """
     match body:
         case {"cost_map": {"data": {"png": png, **others}} as cost_map} if not others:

@@ -69,7 +69,6 @@ class PageFile:
 
     @classmethod
     def read(cls, path: Path) -> PageFile:
-        """Read a file and compress it."""
         body = path.read_bytes()
         return cls(
             content_type=CONTENT_TYPES[path.suffix],
@@ -116,7 +115,6 @@ def page_router(service: PlanningService) -> APIRouter:
 
 @cache
 def page_routes() -> tuple[Route, ...]:
-    """Return a route for every file of the page."""
     return tuple(Route(url, PageFile.read(path).respond) for url, path in page_files())
 
 

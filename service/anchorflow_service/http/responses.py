@@ -66,13 +66,10 @@ def install_error_handlers(app: FastAPI) -> None:
 
 
 async def cancel_on_disconnect(request: Request, work: Coroutine[Any, Any, Result]) -> Result:
-    """Return the result of the work; cancel it if the client disconnects first.
+    """Return the result of the work. Cancel it and raise `ClientDisconnect` if the client leaves.
 
     The request's body must have been read: the next message is then the disconnect. The current
     task does the work, which takes fewer passes of the event loop than a task of its own.
-
-    Raises:
-        ClientDisconnect: the client disconnected.
     """
     working = asyncio.current_task()
     assert working is not None

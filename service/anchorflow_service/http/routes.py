@@ -45,7 +45,6 @@ def server_version() -> str:
 
 
 def server_router(service: PlanningService) -> APIRouter:
-    """Return the routes of the server, its health and the cards of its models."""
     router = APIRouter(prefix="/v2", tags=["server"])
 
     @router.get("")
@@ -75,7 +74,6 @@ def server_router(service: PlanningService) -> APIRouter:
 
 
 def metrics_router(metrics: Metrics) -> APIRouter:
-    """Return the route of the metrics."""
     router = APIRouter(tags=["server"])
 
     @router.get("/metrics", response_class=Response)
@@ -88,7 +86,6 @@ def metrics_router(metrics: Metrics) -> APIRouter:
 
 
 def repository_router(repository: Repository) -> APIRouter:
-    """Return the routes of the protocol's model repository extension."""
     router = APIRouter(prefix="/v2/repository", tags=["repository"])
 
     @router.post("/index", **INDEX_DOCUMENTATION)

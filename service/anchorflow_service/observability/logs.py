@@ -47,7 +47,6 @@ class JsonFormatter(logging.Formatter):
     """Formats a record as one JSON object: time, level, logger, message, `extra`, exception."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Return one line."""
         line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, timezone.utc).isoformat(
                 timespec="milliseconds"

@@ -89,11 +89,9 @@ class Metrics(Observer):
                 seconds.observe(call.timing_ms.get(stage, 0.0) / 1e3)
 
     def batch_planned(self, requests: int) -> None:
-        """Count a micro-batch."""
         self._batch.observe(requests)
 
     def exchanged(self, exchange: Exchange) -> None:
-        """Count an HTTP response."""
         self._exchanges.labels(exchange.route, str(exchange.status)).inc()
 
     def render(self) -> bytes:
@@ -102,12 +100,9 @@ class Metrics(Observer):
 
 
 def reserve_shared_files() -> None:
-    """Allocate the files in which this process counts; make the folder if it is missing.
+    """Allocate the files in which this process counts. Raises `SharedFolderError`.
 
     The files are mapped into memory: a disk that becomes full later would kill the process.
-
-    Raises:
-        SharedFolderError: the folder cannot be written, or is another user's.
     """
     folder = Path(os.environ[SHARED_FOLDER])
     try:
@@ -137,7 +132,6 @@ class ServiceCollector(Collector):
         self._service = service
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the families of metrics."""
         queue = self._service.queue
         for name, about, value in (
             ("ready", "1 while requests are taken.", float(self._service.is_ready)),

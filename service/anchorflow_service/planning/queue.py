@@ -104,9 +104,7 @@ class PlanningQueue:
 
         beyond: additional places, for requests that `submit` may still refuse
 
-        Raises:
-            NotReady: the queue takes no jobs.
-            Overloaded: no place is free; `retry_after_s` estimates when one is.
+        Raises `NotReady`, or `Overloaded` with an estimate of when a place is free.
         """
         if not self.is_open:
             raise NotReady("the service is starting or stopping")
@@ -147,22 +145,16 @@ class PlanningQueue:
     async def submit(self, job: Job[Result]) -> Result:
         """Run a job and return its result; cancelling this cancels the job.
 
-        Raises:
-            NotReady: the queue is closing.
-            Overloaded: too many wait, or the wait likely exceeds the job's budget.
-            DeadlineExceeded: the budget ran out.
+        Raises `NotReady`, `Overloaded` if too many wait for its budget, or `DeadlineExceeded`.
         """
         with self.admitted(job):
             return await self.result_of(job)
 
     @contextmanager
     def admitted(self, job: Job[Result], *, in_place_of: AnyJob | None = None) -> Iterator[None]:
-        """Keep the job in the line or on a lane, for the length of the block.
+        """Keep the job in the line or on a lane, for the length of the block. Raises as `submit`.
 
         in_place_of: a job that is cancelled inside the block; it does not count as ahead
-
-        Raises:
-            NotReady, Overloaded: as `submit`.
         """
         with self._changed:
             if not self.is_open:

@@ -146,11 +146,7 @@ class LatestPerRobot:
         return len(self._newest)
 
     def standing(self, robot_id: str | None, job: AnyJob) -> AnyJob | None:
-        """Return the robot's older job, which this one would replace.
-
-        Raises:
-            Superseded: this job is the older one; reading it took longer.
-        """
+        """Return the robot's older job. Raises `Superseded` if this one is the older."""
         if robot_id is None:
             return None
         standing = self._newest.get(robot_id)
@@ -160,11 +156,7 @@ class LatestPerRobot:
 
     @contextmanager
     def registered(self, robot_id: str | None, job: AnyJob) -> Iterator[None]:
-        """Register the job for its robot inside the block, and cancel the older one.
-
-        Raises:
-            Superseded: as `standing`.
-        """
+        """Register the job inside the block; cancel the robot's older one. Raises `Superseded`."""
         if robot_id is None:
             yield
             return
@@ -183,12 +175,9 @@ class PlanningService:
 
     Args:
         engines: by model name.
-        default: the model of requests that name none.
+        default: the model of requests that name none. Raises `ValueError` if it is no engine's.
         limits: bounds on memory, on waiting and on concurrent work.
         clock: seconds, for arrivals and for the time in the queue.
-
-    Raises:
-        ValueError: `default` is not among the engines.
     """
 
     def __init__(

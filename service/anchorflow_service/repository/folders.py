@@ -37,11 +37,7 @@ class FoundBundle:
 
 
 class BundleFolders:
-    """The bundles of single folders and of a repository.
-
-    Raises:
-        RepositoryError: the repository is not a folder.
-    """
+    """The bundles of single folders and of a repository. Raises `RepositoryError`."""
 
     def __init__(self, bundles: Sequence[Path] = (), *, repository: Path | None = None) -> None:
         if repository is not None and not repository.is_dir():
@@ -63,9 +59,7 @@ class BundleFolders:
     def find(self, name: str, version: str | None = None) -> FoundBundle | None:
         """Return the bundle of a model, of that version or the newest; None if there is none.
 
-        Raises:
-            RepositoryError: two folders hold that version.
-            BundleError: its manifest is invalid.
+        Raises `RepositoryError` if two folders hold that version, `BundleError` if it is invalid.
         """
         same_name = [bundle for bundle in self.found() if bundle.name == name]
         matching = [bundle for bundle in same_name if version in (None, bundle.version)]

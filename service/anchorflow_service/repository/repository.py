@@ -105,13 +105,9 @@ class Repository:
         """The reason why the last load was refused, by model and version."""
 
     def load(self, name: str, version: str | None = None) -> ModelCard:
-        """Read the bundle of a model from its folder, and serve it.
+        """Read the bundle of a model, of that version or the newest, and serve it.
 
-        version: None: the newest
-
-        Raises:
-            UnknownModel: no folder holds that model, or that version of it.
-            LoadError: its bundle is invalid.
+        Raises `UnknownModel` if no folder holds it, `LoadError` if it is invalid.
         """
         with self._loading:
             found = self._find(name, version)
@@ -122,11 +118,7 @@ class Repository:
         return engine.card
 
     def unload(self, name: str) -> None:
-        """Stop serving a model; requests that chose it are still answered.
-
-        Raises:
-            UnknownModel: it is not served.
-        """
+        """Stop serving a model, but answer requests that chose it. Raises `UnknownModel`."""
         self._engines.remove(name)
         logger.info("model %s is unloaded", name)
 

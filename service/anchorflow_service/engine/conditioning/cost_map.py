@@ -55,7 +55,6 @@ class CostMapConditioning:
         self._basis = _basis_of(manifest)
 
     def faults(self) -> Iterator[str]:
-        """Find inputs of encode that no scene provides."""
         if (channels := self._entry.channels) != NETWORK_CHANNELS:
             names = "obstacles, traversability and risk"
             yield f"conditioning.channels: expected {NETWORK_CHANNELS}, {names}, found {channels}"
@@ -65,9 +64,7 @@ class CostMapConditioning:
     def scenes(self, request: ResolvedRequest) -> list[MapScene]:
         """Return the scenes of a request, near the origin of their own frame.
 
-        Raises:
-            InvalidRequest: a goal is occupied, and no place within its tolerance can be reached.
-            NotReady: the loops for obstacles, or for bodies, are still being compiled.
+        Raises `InvalidRequest` if no goal within its tolerance can be reached, and `NotReady`.
         """
         if request.obstacles is not None:
             MOVING_LOOPS.require()
@@ -96,7 +93,6 @@ class CostMapConditioning:
         return [MapScene(near, among_movers(scene), reference) for scene in scenes]
 
     def _scene(self, request: ResolvedRequest, index: int, movers: MovingDiscs | None) -> Scene:
-        """Return a scene of a request."""
         cost_map, limits = request.cost_map, _limits(request)
         cells = cost_map.data[index]
         among = not (movers is None or request.has_body) and (cells[0] >= OCCUPIED).any()
@@ -161,11 +157,9 @@ class MapScene:
 
     @property
     def limits(self) -> LimitsSpec:
-        """The limits of the anchors."""
         return _limits(self.request)
 
     def inputs(self, names: Iterable[str]) -> Arrays:
-        """Return those of SCENE_INPUTS that are named, with a B axis of 1."""
         return self.scene.inputs(names)
 
     def answered(self, arrays: Arrays) -> Arrays:

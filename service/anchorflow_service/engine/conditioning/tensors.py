@@ -39,7 +39,6 @@ class TensorConditioning:
                 yield f"request.inputs: {spec.name} is optional, {told}"
 
     def scenes(self, request: ResolvedRequest) -> list[TensorScene]:
-        """Return the scenes of a request."""
         absent = {
             spec.name: np.asarray(probe_of(spec, open_axis=1))[None]
             for spec in self._manifest.request.inputs
@@ -48,7 +47,6 @@ class TensorConditioning:
         return [TensorScene(request, b, absent) for b in range(request.num_scenes)]
 
     def probe(self) -> AnchorRequest:
-        """Return zeros, or the nearest values that the card allows."""
         inputs = {spec.name: probe_of(spec) for spec in self._manifest.request.inputs}
         return AnchorRequest.build(inputs=inputs, seed=0)
 
@@ -62,7 +60,6 @@ class TensorScene:
     absent: Arrays
 
     def inputs(self, names: Iterable[str]) -> Arrays:
-        """Return the request's inputs, with a B axis of 1."""
         own = slice(self.index, self.index + 1)
         return {
             name: self.absent[name]
@@ -72,7 +69,6 @@ class TensorScene:
         }
 
     def answered(self, arrays: Arrays) -> Arrays:
-        """Return them as they are: the frame is the planner's own."""
         return arrays
 
 

@@ -49,12 +49,7 @@ MEMORY = 64 * 2**20
 
 
 class VisionLanguageConditioning:
-    """Reads scenes of pictures and a text.
-
-    Raises:
-        BundleError: the bundle has no tokenizer, it cannot be read, or the extra `language` is not
-            installed.
-    """
+    """Reads scenes of pictures and a text. Raises `BundleError` if the tokenizer cannot be read."""
 
     def __init__(self, bundle: Bundle) -> None:
         self._manifest = bundle.manifest
@@ -117,7 +112,6 @@ class VisionLanguageScene:
     image_size: int
 
     def has(self, name: str) -> bool:
-        """Return whether the request brought a picture."""
         return name in self.request.inputs
 
     def picture(self, name: str) -> Array:
@@ -136,7 +130,6 @@ class VisionLanguageScene:
         return np.ascontiguousarray(resized(self.picture(name), self.image_size))[None]
 
     def answered(self, arrays: Arrays) -> Arrays:
-        """Return them as they are: the frame is the planner's own."""
         return arrays
 
 
@@ -160,7 +153,6 @@ class Views:
         return len(self._memory)
 
     def settle(self, scene: ConditionedScene) -> None:
-        """Check whether the graph gives the same bytes on one thread and on many."""
         self._graphs.settle(VISION, {PIXELS: scene.inputs(self._images[:1])[self._images[0]]})
 
     def features(self, scene: ConditionedScene, *, threads: int) -> Arrays:

@@ -137,10 +137,7 @@ class OdeSampler:
             yield f"graphs.field.inputs: x_t has {own}, expected {wanted}"
 
     def settle(self, scene: ConditionedScene) -> None:
-        """Check whether the graphs give the same bytes on one thread and on many, in one piece and
-        in slices. A machine's kernels decide that, and no answer may depend on how busy the service
-        is.
-        """
+        """Check the graphs, and whether anchors in slices have the same bytes as in one piece."""
         encoded = self._graphs.settle("encode", self._scene_inputs(scene))
         context = {**self._own_prior(scene), **encoded}
         most = max(self._threads, 2)  # one thread has to answer what two do

@@ -107,7 +107,6 @@ class TruncatedDiffusionSampler:
             yield f"graphs.encode.outputs: {ANCHORS} is {[*anchors]}, expected {['B', *wanted]}"
 
     def settle(self, scene: ConditionedScene) -> None:
-        """Check whether each graph gives the same bytes on one thread and on many."""
         graphs, entry = self._graphs, self._entry
         context = graphs.settle("encode", self._scene_inputs(scene))
         noise = self.draw_noise(seed=0)
@@ -121,7 +120,6 @@ class TruncatedDiffusionSampler:
         graphs.settle("fine", {**context, **best})
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
-        """Return the outputs of the first graph."""
         return self._graphs.run("encode", self._scene_inputs(scene), threads=threads)
 
     def _scene_inputs(self, scene: ConditionedScene) -> Arrays:

@@ -63,7 +63,6 @@ class VocabularySampler:
         yield from unknown_names("answer", [TRAJECTORIES, *scores, *extras], given)
 
     def settle(self, scene: ConditionedScene) -> None:
-        """Check whether each graph gives the same bytes on one thread and on many."""
         if self.views:
             self.views.settle(scene)
         context = self._graphs.settle("encode", self._inputs(scene, threads=1))
@@ -71,7 +70,6 @@ class VocabularySampler:
             self._graphs.settle("score", context)
 
     def encode(self, scene: ConditionedScene, *, threads: int) -> Context:
-        """Return the outputs of the first graph."""
         return self._graphs.run("encode", self._inputs(scene, threads=threads), threads=threads)
 
     def _inputs(self, scene: ConditionedScene, *, threads: int) -> Arrays:
