@@ -100,8 +100,7 @@ def over_http(url: str, codec: Codec | None = None) -> Connect:
         url: of the server.
         codec: of requests and answers; binary by default.
 
-    Raises:
-        BenchmarkError: the URL names another machine.
+    Raises `BenchmarkError` if the URL names another machine.
     """
     check_loopback(url)
     return lambda stack: (

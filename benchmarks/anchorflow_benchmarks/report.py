@@ -149,8 +149,7 @@ def record(
         about: the settings of the run, written along.
         first: the table.
 
-    Raises:
-        BundleError: a manifest cannot be written.
+    Raises `BundleError` if a manifest cannot be written.
     """
     with needs_extra("train", who="--record"):
         from anchorflow_export.bundle import record_quality

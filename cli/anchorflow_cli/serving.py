@@ -140,8 +140,7 @@ def open_service(
         announce: called with the models' names and versions once requests are answered.
         zenoh: a network to join too.
 
-    Raises:
-        AnchorFlowError: a bundle cannot be served, or the zenoh network cannot be joined.
+    Raises `AnchorFlowError` if a bundle cannot be served, or the zenoh network cannot be joined.
     """
 
     def open_engine(folder: Path) -> Engine:

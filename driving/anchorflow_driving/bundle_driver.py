@@ -75,9 +75,8 @@ class BundleDriver:
             name: of the driver; the card's by default.
             sampler: as a request has it; the card's by default.
 
-        Raises:
-            SensorError: the planner takes inputs that no log has, or plans other poses than those
-                of PLAN_TIMES.
+        Raises `SensorError` if the planner takes inputs that no log has, or plans other poses than
+        those of PLAN_TIMES.
         """
         check_inputs(card.inputs, of=card.name)
         if (card.time.steps, card.time.first_s, card.time.dt) != (len(PLAN_TIMES), 0.5, 0.5):

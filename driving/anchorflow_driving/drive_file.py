@@ -44,8 +44,7 @@ def windows_on_the_way(
     track: one with a window; by default the one that drives farthest
     every_s: s from one window to the next, in whole frames
 
-    Raises:
-        SensorError: the log has no window about the track, or time is no number of frames.
+    Raises `SensorError` if the log has no window about the track, or time is no number of frames.
     """
     known = np.unique(log.window_ego).tolist()
     stride = round(every_s / FRAME_S)
@@ -75,8 +74,7 @@ def drive_file(
 
     specs: inputs of bundle `of`
 
-    Raises:
-        SensorError: no log has one of the inputs.
+    Raises `SensorError` if no log has one of the inputs.
     """
     check_inputs(specs, of=of)
     windows = list(Scenes(log))

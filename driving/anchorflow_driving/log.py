@@ -78,8 +78,7 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
 class DrivingLog:
     """A recording of traffic on a map, and the windows of it that a planner is asked about.
 
-    Raises:
-        LogError: a field of another dtype, shape or range.
+    Raises `LogError` if a field has another dtype, shape or range.
     """
 
     name: str
@@ -249,8 +248,7 @@ class DrivingLog:
 def read_log(path: Path | str) -> DrivingLog:
     """A log of a file.
 
-    Raises:
-        LogError: the file cannot be read, or a field is missing or wrong.
+    Raises `LogError` if the file cannot be read, or a field is missing or wrong.
     """
     arrays = _read_arrays(path)
     values: dict[str, Any] = dict(arrays)
@@ -266,11 +264,7 @@ def read_log(path: Path | str) -> DrivingLog:
 
 
 def write_log(log: DrivingLog, path: Path | str) -> None:
-    """Writes what `read_log` reads.
-
-    Raises:
-        LogError: the file cannot be written.
-    """
+    """Writes what `read_log` reads. Raises `LogError` if the file cannot be written."""
     arrays: dict[str, Any] = {
         field.name: getattr(log, field.name) for field in fields(log) if field.name in LAYOUT
     }
@@ -286,8 +280,7 @@ def write_log(log: DrivingLog, path: Path | str) -> None:
 def read_logs(folder: Path | str) -> list[DrivingLog]:
     """The logs of a folder, by file name.
 
-    Raises:
-        LogError: there is none, or one cannot be read.
+    Raises `LogError` if there is none, or one cannot be read.
     """
     paths = sorted(Path(folder).glob("*.npz"))
     if not paths:

@@ -108,8 +108,7 @@ def kinds_of(sensors: Iterable[RecordedSensors | None]) -> str:
 def read_sensors(path: Path | str) -> RecordedSensors | None:
     """The recorded sensors of a log's file; None if it has none.
 
-    Raises:
-        LogError: a field is missing or cannot be read.
+    Raises `LogError` if a field is missing or cannot be read.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -125,8 +125,7 @@ class PlannerAdapter:
     def trace(self) -> dict[str, TracedGraph]:
         """Export the graphs by role.
 
-        Raises:
-            ExportError: a graph cannot be traced, or holds only for the sizes of the trace.
+        Raises `ExportError` if a graph cannot be traced, or holds only for the sizes of the trace.
         """
         graphs: dict[str, TracedGraph] = {}
         given = {spec.name: spec for spec in (*self.parts.inputs, *self.own)}

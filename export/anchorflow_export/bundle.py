@@ -80,8 +80,7 @@ def export_bundle(
 def record_quality(bundle: Path, quality: Mapping[str, Any]) -> None:
     """Write the quality that the judge measured into a bundle's manifest.
 
-    Raises:
-        BundleError: there is no sound bundle at that path, or it cannot be written.
+    Raises `BundleError` if there is no sound bundle at that path, or it cannot be written.
     """
     manifest = load_bundle(bundle).manifest.model_copy(update={"quality": dict(quality)})
     scratch = bundle / f".{FILE_NAME}"
@@ -143,8 +142,7 @@ def _manifest(parts: PlannerParts, description: BundleDescription) -> Manifest:
 def into_place(out: Path) -> Iterator[Path]:
     """Yield a new folder that becomes `out` if the block succeeds, and vanishes if it fails.
 
-    Raises:
-        ExportError: `out` is not a bundle, cannot be replaced or cannot be written.
+    Raises `ExportError` if `out` is not a bundle, cannot be replaced or cannot be written.
     """
     out = out.absolute()  # the parent of "." would be "." again
     try:

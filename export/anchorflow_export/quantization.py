@@ -52,9 +52,8 @@ def quantize_bundle(path: Path, *, like: Mapping[str, onnx.GraphProto] | None = 
     like: the `rounded_graphs` of a bundle from whose weights training went on: their scales are
         kept where those of this one differ little, so that equal weights become equal graphs
 
-    Raises:
-        BundleError: there is no sound bundle at that path, which stays what it is.
-        ExportError: the bundle has no field that flows over a cost map.
+    Raises `BundleError` if there is no sound bundle at that path, which stays what it is;
+    `ExportError` if the bundle has no field that flows over a cost map.
     """
     bundle = load_bundle(path)
     sampler, conditioning = bundle.manifest.sampler.kind, bundle.manifest.conditioning.kind

@@ -57,9 +57,8 @@ def read_weights(
     Eight-bit weights become the floats that they stand for. Batch normalisation that the exporter
     has folded into a convolution stays there.
 
-    Raises:
-        ExportError: the network cannot be exported, or with the weights that were read it does not
-            compute what the bundle computes.
+    Raises `ExportError` if the network cannot be exported, or with the weights that were read it
+    does not compute what the bundle computes.
     """
     _fold_normalisation(model)
     probe = deepcopy(model)

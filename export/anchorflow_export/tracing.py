@@ -63,8 +63,7 @@ def trace(
 
     Every axis that is a letter in an input's spec is left open.
 
-    Raises:
-        ExportError: the module cannot be traced, or holds only for the sizes of the trace.
+    Raises `ExportError` if the module cannot be traced, or holds only for the sizes of the trace.
     """
     name = module.role if isinstance(module, Role) else type(module).__name__
     for spec in inputs:

@@ -15,8 +15,7 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
 
     If the block fails or is interrupted, what is at `path` stays as it was, and no draft is left.
 
-    Raises:
-        OSError: there is no place to write.
+    Raises `OSError` if there is no place to write.
     """
     draft = path.with_name(f"{path.name}.{os.getpid()}")
     try:

@@ -53,8 +53,7 @@ class Checkpoint:
 def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
     """Write whole or not at all: a kill in mid-write leaves the last checkpoint in place.
 
-    Raises:
-        CheckpointError: there is no place to write.
+    Raises `CheckpointError` if there is no place to write.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -183,9 +182,8 @@ def mean_checkpoint(paths: Sequence[Path]) -> Checkpoint:
     that is better than each (Wortsman et al., *Model soups*, ICML 2022); weights that began apart
     do not.
 
-    Raises:
-        CheckpointError: one cannot be read, or is of another planner, network or tokenizer than
-            the last.
+    Raises `CheckpointError` if one cannot be read, or is of another planner, network or tokenizer
+    than the last.
     """
     *others, last = [load_checkpoint(path) for path in paths]
     wanted = saved_model_config(last)

@@ -137,8 +137,7 @@ class SceneDataset:
     def batch(self, scenes: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
         """The named arrays of some scenes in float32 and SI units; cost_map in [0, 1].
 
-        Raises:
-            DatasetError: a scene has a number that is not finite.
+        Raises `DatasetError` if a scene has a number that is not finite.
         """
         self.check_finite(scenes)
         rows = {name: array[scenes].astype(np.float32) for name, array in self.arrays.items()}
@@ -300,8 +299,7 @@ def _check_quality(path: Path, arrays: Mapping[str, NDArray]) -> None:
 def write_meta(path: Path, meta: Mapping[str, Any]) -> None:
     """Write a folder's `dataset.json`, whole or not at all, when all else is in place.
 
-    Raises:
-        DatasetError: it cannot be written.
+    Raises `DatasetError` if it cannot be written.
     """
     file = path / "dataset.json"
     try:
@@ -314,8 +312,7 @@ def write_meta(path: Path, meta: Mapping[str, Any]) -> None:
 def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:
     """New writable `.npy` files under `path`, one for each array of `shapes`.
 
-    Raises:
-        DatasetError: `path` is no folder, or one that cannot be written or holds no more.
+    Raises `DatasetError` if `path` is no folder, or one that cannot be written or holds no more.
     """
     arrays = {}
     try:
@@ -339,8 +336,7 @@ def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
 def reserve(file: Path) -> None:
     """Allocate a file's holes: on a full disk, writing to a memory map would kill the process.
 
-    Raises:
-        OSError: there is not as much.
+    Raises `OSError` if there is not as much.
     """
     if hasattr(os, "posix_fallocate"):
         with file.open("r+b") as stream:

@@ -61,8 +61,7 @@ def make_dataset(
 ) -> dict[str, Any]:
     """Write the dataset folder, return its `dataset.json`; `progress` gets 1 a finished scene.
 
-    Raises:
-        DatasetError: the folder cannot be written.
+    Raises `DatasetError` if the folder cannot be written.
     """
     arrays, families, unsolved, shares = None, Counter(), Counter(), []
     tasks = ((config, i) for i in range(config.scenes))

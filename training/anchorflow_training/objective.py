@@ -67,8 +67,7 @@ Loss = Callable[..., tuple[Tensor, dict[str, Tensor]]]
 def loss_named(name: str | None) -> Loss:
     """Import a loss by `package.module:function`; None is the house's own.
 
-    Raises:
-        ConfigError: there is no such module, or no such function in it.
+    Raises `ConfigError` if there is no such module, or no such function in it.
     """
     if name is None:
         return flow_matching_loss
@@ -86,8 +85,7 @@ def loss_named(name: str | None) -> Loss:
 class FlowObjective(nn.Module):
     """Loss and its terms on a batch, in the model's normalised units.
 
-    Raises:
-        ConfigError: there is no loss of the configured name.
+    Raises `ConfigError` if there is no loss of the configured name.
     """
 
     def __init__(self, model: L2SafetyCFM, config: FlowMatchingConfig) -> None:

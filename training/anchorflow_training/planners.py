@@ -59,8 +59,7 @@ TRAININGS: Mapping[str, Training] = {
 def training_of(planner: str | None, file: Path | None = None) -> Training:
     """How the planner of this name is trained; without one it is the file's, or else FlowMP.
 
-    Raises:
-        ConfigError: there is no such planner, or no such file.
+    Raises `ConfigError` if there is no such planner, or no such file.
     """
     name = planner or (text_in(file, PLANNER) if file else None) or UNNAMED
     if name not in TRAININGS:

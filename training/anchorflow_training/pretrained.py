@@ -29,8 +29,7 @@ def load_resnet(backbone: TransfuserBackbone, folder: Path) -> None:
         model.safetensors; nothing is downloaded. The LiDAR's first weights are the sum of the
         colours'; an earlier sweep is not heard yet.
 
-    Raises:
-        ConfigError: there is no ResNet in the folder, or one of another shape.
+    Raises `ConfigError` if there is no ResNet in the folder, or one of another shape.
     """
     weights = _weights(folder)
     earlier = int(backbone.config.lidar_before)
@@ -54,9 +53,8 @@ def load_sight(sight: Mapping[str, nn.Module], checkpoint: Path) -> None:
 
     Parts beside the backbone that only one of both planners has stay as they are.
 
-    Raises:
-        CheckpointError: it cannot be read.
-        ConfigError: it has no backbone, or a part of another shape.
+    Raises `CheckpointError` if it cannot be read; `ConfigError` if it has no backbone, or a part of
+    another shape.
     """
     average = {f".{name}": value for name, value in load_checkpoint(checkpoint).average.items()}
     for part, module in sight.items():

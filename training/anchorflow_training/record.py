@@ -48,8 +48,7 @@ class RunningMean:
 class RunRecord:
     """The files of a run, opened at a step: the checkpoint's rows stay, later ones are dropped.
 
-    Raises:
-        CheckpointError: there is no place to write, at any call.
+    Raises `CheckpointError` if there is no place to write, at any call.
     """
 
     def __init__(

@@ -81,9 +81,8 @@ class TrainingRun(ABC):
     evaluations: a row an evaluation, if scenes are held out
     loaders: threads that prepare batches ahead
 
-    Raises:
-        ConfigError: the configuration does not fit the dataset, the machine or the run `before`.
-        CheckpointError: the folder's checkpoint is of another model, teacher or dataset.
+    Raises `ConfigError` if the configuration does not fit the dataset, the machine or the run
+    `before`; `CheckpointError` if the folder's checkpoint is of another model, teacher or dataset.
     """
 
     loaders = 1

@@ -53,8 +53,7 @@ def write_recording(
 
     Every frame has a pose, a time and a label; frames with pictures are pairs as well.
 
-    Raises:
-        LogError: a file cannot be written.
+    Raises `LogError` if a file cannot be written.
     """
     vehicle: list[dict[str, Any]] = []
     infrastructure: list[dict[str, Any]] = []

@@ -32,8 +32,7 @@ HELD = {
 def layout_of(path: Path) -> Layout:
     """The layout of a file by its suffix, of a folder by its files.
 
-    Raises:
-        LogError: there is nothing there, or it looks like none of them.
+    Raises `LogError` if there is nothing there, or it looks like none of them.
     """
     if path.is_dir():
         found = next((HELD[held] for held in HELD if any(path.glob(held))), None)

@@ -56,8 +56,7 @@ def import_argoverse(path: Path) -> tuple[DrivingLog, Counter[str]]:
 
     path: `scenario_*.parquet`, beside its `log_map_archive_*.json`, or the folder of the two
 
-    Raises:
-        LogError: names the file, the field, what was expected and what was found.
+    Raises `LogError`.
     """
     file = _only(path, "scenario_*.parquet") if path.is_dir() else path
     columns = _columns(file)

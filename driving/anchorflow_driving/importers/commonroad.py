@@ -63,10 +63,7 @@ def import_commonroad(path: Path) -> tuple[DrivingLog, Counter[str]]:
 
     States are interpolated to 10 Hz. Obstacles without a trajectory (occupancy sets) are left out.
     The frame is the scenario's, unless the first obstacle begins more than FAR from its zero: then
-    that position becomes (0, 0).
-
-    Raises:
-        LogError: names the file, the field, what was expected and what was found.
+    that position becomes (0, 0). Raises `LogError`.
     """
     root = Element.of_file(path, "commonRoad")
     if (version := root.attribute("commonRoadVersion")) != VERSION:

@@ -41,11 +41,7 @@ class Entry(Located):
 
     @classmethod
     def of_json(cls, path: Path) -> Entry:
-        """The root.
-
-        Raises:
-            LogError: the file cannot be read, or is no JSON.
-        """
+        """The root. Raises `LogError` if the file cannot be read, or is no JSON."""
         try:
             return cls(path, "", json.loads(path.read_bytes()))
         except (OSError, ValueError, RecursionError) as error:
@@ -97,8 +93,7 @@ class Entry(Located):
     def numbers(self, *shape: int | None) -> NDArray[np.float64]:
         """An array of this shape, None for any size.
 
-        Raises:
-            LogError: it is of another shape, or not all finite numbers.
+        Raises `LogError` if it is of another shape, or not all finite numbers.
         """
         expected = f"finite numbers [{', '.join('n' if n is None else str(n) for n in shape)}]"
         try:
@@ -125,8 +120,7 @@ class Entry(Located):
 def chosen_scene(root: Entry, names: Sequence[str], name: str | None, *, within: str) -> str:
     """Return the scene of that name, or the only one.
 
-    Raises:
-        LogError: there is no such scene, or none was named and there are several.
+    Raises `LogError` if there is no such scene, or none was named and there are several.
     """
     if name is None and len(names) == 1:
         return names[0]
@@ -162,8 +156,7 @@ class Element(Located):
     def of_file(cls, path: Path, tag: str) -> Element:
         """The root.
 
-        Raises:
-            LogError: the file cannot be read, is no XML, or has another root.
+        Raises `LogError` if the file cannot be read, is no XML, or has another root.
         """
         try:
             root = ElementTree.parse(path).getroot()

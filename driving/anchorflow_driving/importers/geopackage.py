@@ -34,8 +34,8 @@ def read_features(path: Path, layer: str, *columns: str, zone: int) -> Iterator[
 
     zone: EPSG code of the UTM zone that coordinates are wanted in
 
-    Raises:
-        LogError: the file cannot be read, a layer or column is missing, or a geometry is none.
+    Raises `LogError` if the file cannot be read, a layer or column is missing, or a geometry is
+    none.
     """
     named = _rows(path, "gpkg_geometry_columns", "table_name", "column_name")
     geometry = dict(named).get(layer)

@@ -76,8 +76,7 @@ def import_navsim(
         vehicle, and no other, is an ego then, and sees what its cameras and its LiDAR recorded
     rectified: whether pictures are turned into those of the reference cameras
 
-    Raises:
-        LogError: names the file, the field, what was expected and what was found.
+    Raises `LogError`.
     """
     frames = _frames(Entry(path, "", load_plain_pickle(path)), scene)
     city = frames[0]["map_location"].text
@@ -194,8 +193,7 @@ def read_map(path: Path, box: tuple[Array, Array], counts: Counter[str]) -> Road
 
     Lane connectors belong to a junction. Painted lines are left out: they have no named kinds.
 
-    Raises:
-        LogError: names the file, the layer, what was expected and what was found.
+    Raises `LogError`.
     """
     system = key_value(path, "meta", "projectedCoordSystem")
     code = re.fullmatch(r"epsg:(32[67](0[1-9]|[1-5]\d|60))", system.lower())

@@ -60,8 +60,7 @@ def import_nuscenes(
         an ego then, and sees what its cameras and its LiDAR recorded
     rectified: whether pictures are turned into those of the reference cameras
 
-    Raises:
-        LogError: names the file, the field, what was expected and what was found.
+    Raises `LogError`.
     """
     tables = _Tables(_tables_folder(path))
     scenes = {row["name"].text: row for row in tables.rows("scene")}

@@ -26,8 +26,7 @@ def read_map(path: Path, box: tuple[Array, Array], counts: Counter[str]) -> Road
 
     A connector belongs to a junction. The drivable area is the union of its layer's polygons.
 
-    Raises:
-        LogError: names the file, the field, what was expected and what was found.
+    Raises `LogError`.
     """
     return _Expansion(path, box).road(counts)
 

@@ -36,8 +36,7 @@ _UNREADABLE = (
 def load_plain_pickle(path: Path) -> Any:
     """Load a file of containers, numbers, texts, and objects that `numpy.asarray` takes.
 
-    Raises:
-        LogError: the file cannot be read, or names any other global, which is not called.
+    Raises `LogError` if the file cannot be read, or names any other global, which is not called.
     """
     try:
         with path.open("rb") as stream:

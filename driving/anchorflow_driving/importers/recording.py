@@ -54,8 +54,7 @@ def recorded_log(
     origin: [2] what becomes (0, 0); far from it, float32 is too coarse
     sensors: of track 0, which is the only ego then, where its files are near
 
-    Raises:
-        LogError: a file of sensors that a window needs is missing.
+    Raises `LogError` if a file of sensors that a window needs is missing.
     """
     origin = np.zeros(2) if origin is None else origin
     now = frame_times(max(track.time[-1] for track in tracks))

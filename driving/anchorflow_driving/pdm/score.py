@@ -45,8 +45,7 @@ class PdmScorer:
 
         Poses (x, y, heading) of the rear axle in the ego's frame.
 
-        Raises:
-            ValueError: another shape, or numbers that are not finite.
+        Raises `ValueError` for another shape, or numbers that are not finite.
         """
         return self.judge(self.motion(plans))
 

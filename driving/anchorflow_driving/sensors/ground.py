@@ -41,8 +41,7 @@ class GroundPicture:
 def paint_ground(view: PlannerView) -> GroundPicture:
     """The ground of a view's whole map, in the log's frame.
 
-    Raises:
-        SensorError: the map is wider than WIDEST.
+    Raises `SensorError` if the map is wider than WIDEST.
     """
     rings = view.log_polylines["drivable"]
     corners = np.concatenate(rings) if rings else np.zeros((1, 2))

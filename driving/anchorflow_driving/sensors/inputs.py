@@ -86,8 +86,7 @@ SENSORS: Mapping[str, Sensor] = {
 def check_inputs(specs: Iterable[TensorSpec], *, of: str) -> None:
     """Check that a view has all inputs on the card of bundle `of`.
 
-    Raises:
-        SensorError: it lacks one.
+    Raises `SensorError` if it lacks one.
     """
     for spec in specs:
         if spec.name not in SENSORS:
@@ -98,8 +97,7 @@ def check_inputs(specs: Iterable[TensorSpec], *, of: str) -> None:
 def draw_inputs(view: PlannerView, specs: Iterable[TensorSpec]) -> dict[str, NDArray[Any]]:
     """The inputs of one scene, without the leading B, by their names.
 
-    Raises:
-        SensorError: the card's shape differs from the sensor's.
+    Raises `SensorError` if the card's shape differs from the sensor's.
     """
     inputs = {}
     for spec in specs:

@@ -30,8 +30,7 @@ def recorded_camera(sensors: RecordedSensors, frame: int, *, rows: int, columns:
     where nothing was recorded; places are not, which pictures alone do not tell. Others are
     stitched as recorded.
 
-    Raises:
-        LogError: a picture is missing or cannot be read, or shows something else.
+    Raises `LogError` if a picture is missing or cannot be read, or shows something else.
     """
     scale = max(1, math.ceil(rows / CAMERA_ROWS))
     images = []

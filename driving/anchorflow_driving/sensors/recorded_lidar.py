@@ -38,8 +38,7 @@ def sweep(
     The vehicle moved between the sweep and now, and was where the recording says. Points on its own
     body and points that are not finite are left out.
 
-    Raises:
-        LogError: the file is missing or damaged.
+    Raises `LogError` if the file is missing or damaged.
     """
     frame = view.frame - frames_ago
     mount = sensors.lidar_mount[frame].astype(np.float64)
@@ -55,8 +54,7 @@ def sweep(
 def read_points(path: Path) -> NDArray[np.float64]:
     """The finite points [P, 3] of a sweep's file, in the sensor's frame.
 
-    Raises:
-        LogError: there is no file, or it is neither a `.pcd.bin` nor a binary `.pcd`.
+    Raises `LogError` if there is no file, or it is neither a `.pcd.bin` nor a binary `.pcd`.
     """
     try:
         data = path.read_bytes()

@@ -109,8 +109,7 @@ class RenderingUnavailable(AnchorFlowError):
 class Renderer:
     """Draws windows; keeps the ground of each road that it has drawn, as long as the road is there.
 
-    Raises:
-        RenderingUnavailable: there is no EGL here.
+    Raises `RenderingUnavailable` if there is no EGL here.
     """
 
     def __init__(self) -> None:

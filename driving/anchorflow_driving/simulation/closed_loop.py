@@ -121,8 +121,7 @@ def drive_route(
     keep: takes the drive as a log, as `DrivenLog` makes it. The driver then drives on past the
         route's end, so that the last window has its future.
 
-    Raises:
-        SimulationError: SUMO fails, or no vehicle is found that can drive so far.
+    Raises `SimulationError` if SUMO fails, or no vehicle is found that can drive so far.
     """
     name = f"driven-{config.seed}-{index:05d}"
     kept = None if keep is None else lambda noted: keep(noted.log(name))

@@ -31,9 +31,8 @@ def make_logs(
     The summary holds the numbers of logs, windows, turning and standing ones among them, and what
     was dropped or redrawn by its reason.
 
-    Raises:
-        SimulationError: SUMO's programs do not run here.
-        LogError: the folder holds other logs than these, or a log cannot be written.
+    Raises `SimulationError` if SUMO's programs do not run here; `LogError` if the folder holds
+    other logs than these, or a log cannot be written.
     """
     _refuse_others(folder, {f"{SIMULATED}-{config.seed}-{index:05d}.npz" for index in range(logs)})
     folder.mkdir(parents=True, exist_ok=True)

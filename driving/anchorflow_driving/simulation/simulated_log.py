@@ -50,8 +50,7 @@ Track = tuple[int, tuple[float, float], Array]
 def simulate_log(config: LogConfig, index: int) -> tuple[DrivingLog, Counter[str]]:
     """Log `index` of a seed, and what was counted: windows, what was dropped and redrawn.
 
-    Raises:
-        SimulationError: SUMO did not run in any of ATTEMPTS draws.
+    Raises `SimulationError` if SUMO did not run in any of ATTEMPTS draws.
     """
     redrawn: Counter[str] = Counter()
     for attempt in range(ATTEMPTS):

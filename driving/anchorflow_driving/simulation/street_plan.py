@@ -315,11 +315,7 @@ def _add_edge(
 
 
 def run_program(name: str, *arguments: str) -> None:
-    """Runs netgenerate or netconvert.
-
-    Raises:
-        SimulationError: it failed.
-    """
+    """Runs netgenerate or netconvert. Raises `SimulationError` if it failed."""
     done = subprocess.run(
         [str(HOME / "bin" / name), *arguments],
         check=False,

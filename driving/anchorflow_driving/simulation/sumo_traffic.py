@@ -60,8 +60,7 @@ class Recording:
 class SumoRun:
     """A running simulation; libsumo has one a process.
 
-    Raises:
-        SimulationError: SUMO does not start.
+    Raises `SimulationError` if SUMO does not start.
     """
 
     def __init__(self, net: Path, demand: Demand, *, seed: int) -> None:

@@ -60,8 +60,7 @@ def start_level(model: DiffusionDriveV2, noise_scale: float) -> int:
 def diffusiondrive_adapter(model: DiffusionDriveV2, choices: ExportChoices) -> PlannerAdapter:
     """Adapt a network, whose own configuration says how it is sampled.
 
-    Raises:
-        ExportError: its vocabulary is empty.
+    Raises `ExportError` if its vocabulary is empty.
     """
     config = model.config
     try:

@@ -166,9 +166,8 @@ def time_step(
     One number where all samples share it, else [N]; None where nothing implies one and the file
     brings its own derivatives.
 
-    Raises:
-        DatasetError: a time is not above 0, times are uneven, or two statements disagree.
-        TimeStepUnknown: nothing implies a time step, and there are derivatives to take.
+    Raises `DatasetError` if a time is not above 0, times are uneven, or two statements disagree;
+    `TimeStepUnknown` if nothing implies a time step, and there are derivatives to take.
     """
     implied: dict[str, Seconds] = {}
     told: dict[str, Seconds | None] = {"dt": dt, "horizon_s": horizon_s}

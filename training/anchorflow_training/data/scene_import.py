@@ -174,8 +174,7 @@ class ImportConfig:
     least_quality: samples with less are left out
     scene: how a sample becomes a scene
 
-    Raises:
-        DatasetError: a value is out of its range.
+    Raises `DatasetError` if a value is out of its range.
     """
 
     v_max: float | None = None
@@ -200,8 +199,7 @@ class ImportConfig:
 def limits_of(dataset: TrajectoryDataset, config: ImportConfig) -> MotionLimits:
     """Speed and acceleration that the samples keep, and the horizon that they share, if any.
 
-    Raises:
-        DatasetError: neither the file nor the caller says how long a trajectory takes.
+    Raises `DatasetError` if neither the file nor the caller says how long a trajectory takes.
     """
     if dataset.durations is None:
         raise DatasetError(
@@ -241,9 +239,8 @@ def import_scenes(
     Samples that miss a given start or goal, that are off their map, that touch an obstacle of it or
     that come nearer than their safety margin are left out and counted; `progress` gets 1 a sample.
 
-    Raises:
-        DatasetError: the file says too little, nothing is left of it, it has pictures, or `out`
-            cannot be written.
+    Raises `DatasetError` if the file says too little, nothing is left of it, it has pictures, or
+    `out` cannot be written.
     """
     config = config or ImportConfig()
     for name in set(dataset.ignored) & set(PICTURES):

@@ -83,8 +83,7 @@ class TrajectoryDataset(Dataset[Sample]):
         resolution: m/cell of the cost maps; overrides the file
         statistics: those of other data, to normalise by
 
-        Raises:
-            DatasetError: naming the file, the array, the expected and the found shape.
+        Raises `DatasetError`.
         """
         arrays = open_arrays(Path(path), allow_pickle=allow_pickle)
         self._open(
@@ -248,8 +247,7 @@ class TrajectoryDataset(Dataset[Sample]):
     ) -> dict[str, NDArray[np.floating]]:
         """Samples by index as training takes them: `read`, or what a subclass makes of it.
 
-        Raises:
-            DatasetError: a subclass returns something else than samples.
+        Raises `DatasetError` if a subclass returns something else than samples.
         """
         if not self._overridden:
             return self.read(np.asarray(indices, np.int64), dtype)

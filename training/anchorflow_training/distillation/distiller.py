@@ -44,9 +44,8 @@ class Distiller(CostMapRun):
 
     pairs: folder of the teacher's pairs, made there as far as they are missing
 
-    Raises:
-        ConfigError: the student is not to answer what its teacher answers, or the pairs that are
-            there are not this teacher's.
+    Raises `ConfigError` if the student is not to answer what its teacher answers, or the pairs that
+    are there are not this teacher's.
     """
 
     def __init__(

@@ -70,8 +70,7 @@ class DistillConfig(CostMapRunConfig):
 
     schedule: flow times from 0 to 1; the student takes an Euler step from each to the next
 
-    Raises:
-        ValueError: the schedule does not rise from 0 to 1.
+    Raises `ValueError` if the schedule does not rise from 0 to 1.
     """
 
     method: Literal["reflow", "direct", "consistency"] = setting(

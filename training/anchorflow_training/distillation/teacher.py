@@ -49,8 +49,7 @@ class Teacher:
 def load_teacher(path: Path) -> Teacher:
     """The averaged weights of a checkpoint.
 
-    Raises:
-        CheckpointError: it is no checkpoint of this version, or of another planner.
+    Raises `CheckpointError` if it is no checkpoint of this version, or of another planner.
     """
     checkpoint = load_checkpoint(path)
     model = restore_flow(checkpoint).requires_grad_(False)

@@ -69,8 +69,7 @@ def examples_of(logs: Sequence[Path]) -> Floats:
 def trajectory_anchors(futures: NDArray[np.floating], *, count: int, seed: int) -> Floats:
     """K anchors [K, T, 3] of futures [M, T, 3], by k-means over x, y and heading.
 
-    Raises:
-        ConfigError: there is none.
+    Raises `ConfigError` if there is none.
     """
     if not len(futures):
         raise ConfigError("anchors: expected examples to cluster, found none in any window")
@@ -104,8 +103,7 @@ GRID = "grid:"
 def read_goals(told: str, count: int) -> Floats:
     """Return goals [K, 2] m of a .npy file, or a grid: `grid:X0,X1,Y0,Y1` spreads them evenly.
 
-    Raises:
-        ConfigError: as `read_points`, or the grid has not four numbers that rise in pairs.
+    Raises `ConfigError` as `read_points`, and if the grid has not four numbers that rise in pairs.
     """
     if not told.startswith(GRID):
         return read_points(Path(told), (count, 2), setting="vocabulary")
@@ -142,8 +140,7 @@ def read_scores(
 
     counts: windows of each log
 
-    Raises:
-        ConfigError: a file is missing, of another shape, or not from 0 to 1.
+    Raises `ConfigError` if a file is missing, of another shape, or not from 0 to 1.
     """
     parts = []
     for log, count in zip(logs, counts, strict=True):

@@ -50,8 +50,7 @@ class DrivingRun(TrainingRun):
 
     windows: have a length, and a `log` [W] by number
 
-    Raises:
-        ConfigError: names `batch.scenes` or `evaluation.held_out`.
+    Raises `ConfigError`.
     """
 
     config: Any

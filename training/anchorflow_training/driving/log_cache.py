@@ -73,8 +73,7 @@ def log_arrays(
     suffix: of the cache files; make: the arrays of a log, a function that can be pickled
     is_current: whether cached arrays are still those that `make` would return
 
-    Raises:
-        LogError: a log or its cache cannot be read, or there is no place to write beside it.
+    Raises `LogError` if a log or its cache cannot be read, or there is no place to write beside it.
     """
     missing = [log for log in logs if not _is_cached(log, log.with_suffix(suffix), is_current)]
     done = len(logs) - len(missing)

@@ -188,9 +188,8 @@ def open_sensor_windows(
 
     draw: the arrays of a window, named in `sizes.shapes` and NUMBERS; by default `sensed`
 
-    Raises:
-        LogError: a log or what is kept of it cannot be read, there is no place to write beside it,
-            or none has a window.
+    Raises `LogError` if a log or what is kept of it cannot be read, there is no place to write
+    beside it, or none has a window.
     """
     layout = list(asdict(sizes).values())
     parts = log_arrays(

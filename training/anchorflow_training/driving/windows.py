@@ -86,9 +86,8 @@ STORED = ("bev", "bev_sizes", *PER_WINDOW)
 def open_windows(folder: Path) -> DrivingWindows:
     """The windows of all logs in a folder; each log's are drawn once and kept beside it.
 
-    Raises:
-        LogError: there is no log, one or what is kept of it cannot be read, or there is no place to
-            write beside it.
+    Raises `LogError` if there is no log, one or what is kept of it cannot be read, or there is no
+    place to write beside it.
     """
     return _joined([*log_arrays(open_logs(folder), KEPT, _drawn)], folder)
 

@@ -32,9 +32,7 @@ class Captioner:
 
     folder: a published one; image_size: pixels along a side; Florence-2's own are 768
 
-    Raises:
-        ConfigError: the folder cannot be read.
-        DatasetError: it has no tokenizer.
+    Raises `ConfigError` if the folder cannot be read; `DatasetError` if it has no tokenizer.
     """
 
     def __init__(self, folder: Path, *, image_size: int = 768) -> None:
@@ -83,8 +81,7 @@ def describe_recording(
 ) -> int:
     """Append the descriptions that a file lacks, a line a picture; return how many it has.
 
-    Raises:
-        DatasetError: naming the file that is wrong or cannot be written.
+    Raises `DatasetError`.
     """
     pictures = [
         sequence.pairs[frame].vehicle_image

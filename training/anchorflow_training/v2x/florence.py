@@ -121,8 +121,7 @@ RENAMED = (
 def load_pretrained(model: V2XVLM, folder: Path) -> None:
     """Give a network the weights of a published folder, whose tokenizer it must have.
 
-    Raises:
-        ConfigError: the folder cannot be read, or does not fit the network.
+    Raises `ConfigError` if the folder cannot be read, or does not fit the network.
     """
     theirs, ours = read_config(folder), florence_config(model.config)
     for part, names in FIELDS.items():

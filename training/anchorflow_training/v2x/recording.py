@@ -126,8 +126,7 @@ def read_recording(folder: Path, *, fault: Fault | None = None) -> list[Sequence
 
     fault: called with each fault, which is then skipped
 
-    Raises:
-        DatasetError: without `fault`, naming the file and what is wrong with it.
+    Raises `DatasetError` without `fault`, naming the file and what is wrong with it.
     """
     report = fault or _raise
     frames = _frames(folder, report)
@@ -299,10 +298,7 @@ def _nothing_askable(folder: Path, sequences: list[Sequence]) -> str:
 
 
 def read_boxes(file: Path) -> Array:
-    """[n,5] x, y [m], heading [rad], length, width [m] of a label's boxes.
-
-    Raises:
-        DatasetError: naming the file, the entry and what is wrong with it.
+    """[n,5] x, y [m], heading [rad], length, width [m] of a label's boxes. Raises `DatasetError`.
     """
     entries = read_json(file)
     if not isinstance(entries, list):

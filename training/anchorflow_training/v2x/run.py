@@ -177,10 +177,9 @@ SMALLEST_SPREAD = 0.1
 class V2XRun(TrainingRun):
     """Learns waypoints from the pairs of the sequences that are not held out.
 
-    Raises:
-        ConfigError: the model is not of the dataset's shape, a prompt is too long for it, or there
-            are fewer pairs than a batch has.
-        CheckpointError: a checkpoint it uses has another tokenizer than the dataset.
+    Raises `ConfigError` if the model is not of the dataset's shape, a prompt is too long for it, or
+    there are fewer pairs than a batch has; `CheckpointError` if a checkpoint it uses has another
+    tokenizer than the dataset.
     """
 
     def __init__(self, config: V2XRunConfig, dataset: PairDataset, out: Path) -> None:

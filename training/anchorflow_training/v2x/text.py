@@ -63,8 +63,7 @@ def read_descriptions(file: Path) -> dict[str, str]:
 
     A line is `{"picture": "vehicle-side/image/000010.jpg", "description": "The image shows ..."}`.
 
-    Raises:
-        DatasetError: naming the file, and the line that is another.
+    Raises `DatasetError`.
     """
     try:
         lines = file.read_text().splitlines()
@@ -132,8 +131,7 @@ def token_rows(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Tokens [B,L] and where there are any [B,L].
 
-    Raises:
-        DatasetError: a text has more tokens than `most`.
+    Raises `DatasetError` if a text has more tokens than `most`.
     """
     rows = [tokenizer.encode(text).ids for text in texts]
     longest = max(map(len, rows))
