@@ -31,7 +31,6 @@ from anchorflow_benchmarks.planners import (
 from anchorflow_benchmarks.quality import Plans, judge_planners, mean_of, quality_row
 from anchorflow_benchmarks.report import ResultTable, Row, progress, report
 from anchorflow_benchmarks.scene_files import default_source, in_style, load_scenes
-from anchorflow_cli.extras import needs_extra
 from anchorflow_client.contract.fields import STYLES
 from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle
 from anchorflow_service.engine import Engine
@@ -138,8 +137,6 @@ def earns(
     out: options.Out = options.RESULTS,
 ) -> None:
     """Finish a bundle's anchors and plain splines along routes with the same descents."""
-    with needs_extra("plot", who="anchorflow bench earns"):
-        from anchorflow_benchmarks.pictures import draw_cost_over_time
     bundles = [open_bundle(folder) for folder in bundle or [DEFAULT_BUNDLE, options.STUDENT]]
     limits, source = limits_of(bundles[0]), scenes or default_source()
     contending = contenders(bundles, sampler=sampler, threads=threads)
@@ -152,4 +149,3 @@ def earns(
         "sampler": sampler,
     }
     report("Earnings", about, tables, out)
-    draw_cost_over_time(tables, out / "earnings_time.png")

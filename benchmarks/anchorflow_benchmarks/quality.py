@@ -216,9 +216,7 @@ def quality(
     recorded: options.Record = False,
     out: options.Out = options.RESULTS,
 ) -> None:
-    """Judge bundles and baselines on scenes; tables, JSON, Markdown and pictures."""
-    with needs_extra("plot", who="anchorflow bench quality"):
-        from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
+    """Judge bundles and baselines on scenes; tables, JSON and Markdown."""
     for option, value, interval in (
         ("--v-max", v_max, V_MAX),
         ("--a-max", a_max, A_MAX),
@@ -267,8 +265,6 @@ def quality(
         first = {planner.engine: planner.name for planner in reversed(engines)}
         names = [first[engine] for engine in dict.fromkeys(each.engine for each in engines)]
         record(zip(names, folders, strict=True), about, tables[0])
-    draw_scene_sheet(plans[ours[0].name], out / "quality_scenes.png", title=ours[0].name)
-    draw_quality_over_time(tables[0].rows, out / "quality_time.png")
 
 
 def mean_of(values: NDArray[np.floating]) -> float:

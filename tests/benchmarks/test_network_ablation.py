@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from anchorflow_benchmarks.network_ablation import (
     contenders,
     descending,
 )
-from anchorflow_benchmarks.pictures import draw_cost_over_time
 from anchorflow_benchmarks.planners import limits_of
 from anchorflow_client.contract import NoFinish
 from anchorflow_client.contract.fields import STYLES
@@ -74,7 +72,7 @@ def test_routes_are_given_to_both_sides_and_last_as_long_as_they_need(
 
 
 def test_a_table_a_style_and_a_row_a_contender(
-    bundle: Bundle, case: FamilyScene, limits: MotionLimits, tmp_path: Path
+    bundle: Bundle, case: FamilyScene, limits: MotionLimits
 ) -> None:
     ours = contenders([bundle], sampler="euler:uniform1", threads=1)
     assert [one.descents for one in ours] == [*BUNDLE_DESCENTS, *DESCENTS]
@@ -91,8 +89,6 @@ def test_a_table_a_style_and_a_row_a_contender(
         for row in table.rows:
             assert 0.0 < float(row["best J"] or 0.0) <= float(row["J"] or 0.0)
             assert float(row["ms"] or 0.0) > 0.0
-    draw_cost_over_time(tables, tmp_path / "cost.png")
-    assert (tmp_path / "cost.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_costs_are_compared_where_everybody_succeeds(

@@ -1,16 +1,14 @@
-"""Verdicts as tables and pictures, styles, and requests of other robots."""
+"""Verdicts as tables, styles, and requests of other robots."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from anchorflow_benchmarks import BenchmarkError
-from anchorflow_benchmarks.pictures import draw_quality_over_time, draw_scene_sheet
 from anchorflow_benchmarks.planners import Proposals, engine_planners, sampler_name
 from anchorflow_benchmarks.quality import (
     RequestedRobot,
@@ -110,21 +108,6 @@ def test_numbers_that_are_not_finite_are_refused(
 
     with pytest.raises(BenchmarkError, match=r"bows: .* not finite"):
         judge_planners([Broken()], scenes, limits=limits, num=2)
-
-
-def test_pictures_are_drawn(
-    scenes: list[FamilyScene], limits: MotionLimits, tmp_path: Path
-) -> None:
-    planner = Bows()
-    plans = judge_planners([planner], scenes, limits=limits, num=4)
-    tables = quality_tables([planner], plans)
-    draw_scene_sheet(plans["bows"], tmp_path / "sheet.png", title="bows")
-    draw_quality_over_time(tables[0].rows, tmp_path / "time.png")
-
-    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "time.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(BenchmarkError, match="nowhere"):
-        draw_quality_over_time(tables[0].rows, tmp_path / "nowhere" / "time.png")
 
 
 def test_a_row_a_style_and_what_the_names_promise(
