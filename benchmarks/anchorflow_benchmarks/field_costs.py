@@ -104,14 +104,6 @@ def _unseen(scene: Scene, turn: int) -> np.ndarray:
     return cells
 
 
-def _as_it_is(scene: Scene, rng: np.random.Generator) -> dict[str, Any]:  # noqa: ARG001
-    return {}
-
-
-def _seen(scene: Scene, rng: np.random.Generator) -> dict[str, Any]:  # noqa: ARG001
-    return {"cost_map": {"data": scene.cost_map[:1].astype(np.float32)}}
-
-
 def _soft(scene: Scene, rng: np.random.Generator) -> dict[str, Any]:
     height, width = scene.cost_map.shape[1:]
     rows, columns = np.indices((height, width)) * (2 * np.pi * WAVES / max(height, width))
@@ -147,8 +139,8 @@ def _wheels(scene: Scene, rng: np.random.Generator) -> dict[str, Any]:  # noqa: 
 
 
 FIELDS: Mapping[str, Draw] = {
-    AS_IT_IS: _as_it_is,
-    "the same map again": _seen,
+    AS_IT_IS: lambda *_: {},
+    "the same map again": lambda scene, _: {"cost_map": {"data": np.float32(scene.cost_map[:1])}},
     "soft ground": _soft,
     "20 people": _people,
     "a rectangle on two wheels": _wheels,

@@ -1,15 +1,8 @@
 """Judge anchors of a scene: could they be driven, and which ways do they offer?
 
-An anchor succeeds when it is
-
-    free      its centre line, sampled every 2 cm, keeps robot_radius from every occupied cell
-              and stays on the map
-    reached   it starts at x_curr within 5 cm and 0.1 m/s, and ends within 10 cm of the goal
-    feasible  no sample is faster than 1.05 v_max or accelerates by more than 1.1 a_max
-    coherent  rms(v - dp/dt) <= 0.03 v_max and rms(a - dv/dt) <= 0.1 a_max (central differences)
-
-The judge shares no code with the service, whose `safe` it checks. A scene's routes are read from a
-file, or searched to the last one within the limits on the judge's own distances.
+docs/benchmarks.md lists the criteria of an anchor and the measures of a scene. The judge shares no
+code with the service, whose `safe` it checks. A scene's routes are read from a file, or searched to
+the last one within the limits on the judge's own distances.
 """
 
 from __future__ import annotations
@@ -76,23 +69,8 @@ class Judgement:
 
     clearance: m beyond robot_radius, smallest along the path; below -robot_radius off the map
     length: m; jerk: mean size in m/s^3; duration: s; peak: greatest speed in m/s
-    measures: the scene's row, by the names of MEASURES; NaN if no anchor succeeds
-
-        success, free, reached, feasible, coherent   shares of the anchors
-        any          1 if at least one succeeds, else 0
-        classes      homology classes among the successes: ways past the obstacles
-        length       of the successes on average, over the shortest path on the grid
-        jerk, clear  of the successes on average: m/s^3, m
-        spread       m, standard deviation of the positions over the anchors, on average
-        duplicates   share of the anchors with another within 2 cm rms
-        unsafe_called_safe   number of anchors with `safe` that are not free
-        recall       share of the routes that a success takes
-        first        1 if one takes the shortest route, else 0
-        found        routes that successes take, listed or not
-        distinct     successes left after dropping one of any two within 10 cm rms
-        duration     of the successes on average: s
-        haste        of the quickest success: its duration over `least_duration`
-
+    measures: the scene's row, by the names of MEASURES, which docs/benchmarks.md explains;
+        NaN if no anchor succeeds
     routes: number of routes of the scene
     """
 

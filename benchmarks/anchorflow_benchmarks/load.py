@@ -96,10 +96,6 @@ class LoadConfig:
 def over_http(url: str, codec: Codec | None = None) -> Connect:
     """Return clients of a server on this machine, each with its own keep-alive connection.
 
-    Args:
-        url: of the server.
-        codec: of requests and answers; binary by default.
-
     Raises `BenchmarkError` if the URL names another machine.
     """
     check_loopback(url)

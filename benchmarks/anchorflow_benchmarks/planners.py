@@ -131,7 +131,6 @@ class EnginePlanner:
 
 
 def request_of(scene: Scene, *, num: int, seed: int, sampler: OdeSpec) -> AnchorRequest:
-    """Build the request of a scene."""
     return AnchorRequest.build(
         cost_map=CostMap.build(
             scene.cost_map, scene.resolution, scene.origin, scene.channel_weights

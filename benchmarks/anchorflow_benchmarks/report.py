@@ -142,12 +142,9 @@ def report(
 def record(
     bundles: Iterable[tuple[str, Path]], about: Mapping[str, str], first: ResultTable
 ) -> None:
-    """Write rows of a report's first table into manifests, without times.
+    """Write rows of a report's first table, and its settings, into manifests, without times.
 
-    Args:
-        bundles: the name of each in the first column, and its folder.
-        about: the settings of the run, written along.
-        first: the table.
+    bundles: the name of each in the first column, and its folder
 
     Raises `BundleError` if a manifest cannot be written.
     """

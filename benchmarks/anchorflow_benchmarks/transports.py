@@ -41,10 +41,8 @@ def transport_table(
 ) -> ResultTable:
     """Return the round trips of each way, and the time that they spend outside the engine.
 
-    Args:
-        ways: functions that send a request, by name; one of them is `IN_PROCESS`.
-        requests: sent in turn.
-        rounds, budget_s: see `take_turns`.
+    ways: functions that send a request, by name; one of them is `IN_PROCESS`
+    rounds, budget_s: see `take_turns`
     """
     beside: dict[str, list[float]] = {name: [] for name in ways}
     calls = {name: _timed(ask, requests, beside[name]) for name, ask in ways.items()}

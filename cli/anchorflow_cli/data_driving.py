@@ -15,17 +15,17 @@ from anchorflow_cli.data_pairs import counted
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.options import file_option, folder_option
 from anchorflow_driving.drive_file import drive_file, windows_on_the_way
-from anchorflow_driving.errors import LogError
+from anchorflow_driving.errors import place_to_write
 from anchorflow_driving.importers import Layout, layout_of
 from anchorflow_driving.importers.commonroad import import_commonroad
 from anchorflow_driving.importers.navsim import import_navsim
 from anchorflow_driving.importers.nuscenes import import_nuscenes
-from anchorflow_driving.log import DrivingLog, read_log, write_log
+from anchorflow_driving.log import DrivingLog, open_logs, read_log, write_log
 from anchorflow_driving.recorded_sensors import read_sensors
 from anchorflow_driving.simulation import LogConfig
+from anchorflow_training.atomic_write import writing
 from anchorflow_training.driving.anchors import anchor_scores, examples_of, trajectory_anchors
 from anchorflow_training.driving.driving_run import SightRunConfig
-from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.planners import training_of
 from anchorflow_training.settings import ConfigError, layers
@@ -205,11 +205,9 @@ def frames(
     with needs_extra("driving", who="anchorflow data frames"):
         drive["frames"] = list(with_bar(drawn, "frames", total=followed.windows))
     text = json.dumps(drive, separators=(",", ":"), allow_nan=False)
-    try:
+    with place_to_write(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(text)
-    except OSError as error:
-        raise LogError(out, "file", expected="a place to write", found=str(error)) from error
     times = [frame["time_s"] for frame in drive["frames"]]
     typer.echo(
         f"{out}: {len(times)} frames of track {drive['track']}, {times[0]:g} to {times[-1]:g} s, "
@@ -231,12 +229,10 @@ def anchors(
     paths = open_logs(logs)
     futures = examples_of(paths)
     centres = trajectory_anchors(futures, count=count, seed=seed)
-    try:
+    with writing(out, ConfigError):
         out.parent.mkdir(parents=True, exist_ok=True)
         with out.open("wb") as file:
             np.save(file, centres)
-    except OSError as error:
-        raise ConfigError(f"{out}: expected a place to write ({error})") from error
     with counted("logs scored") as progress:
         table = anchor_scores(paths, centres, progress=progress)
     apart = np.linalg.norm(futures[:, None, :, :2] - centres[None, ..., :2], axis=-1).mean(-1)

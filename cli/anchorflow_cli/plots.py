@@ -60,15 +60,11 @@ def draw_anchors(
         draw_body(axes, anchors, outline)
     draw_ends(axes, start, goal, sizes=(12.0, 12.0), named=True, markeredgecolor="white")
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.set_title(f"{safe_text(anchors)}, {durations_text(anchors)}", loc="left")
+    safe = f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe"
+    axes.set_title(f"{safe}, {durations_text(anchors)}", loc="left")
     figure.legend(loc="outside lower center", ncols=4, frameon=False)
     figure.colorbar(lines, ax=axes, label=label, extend=extend, shrink=0.8)
     save(figure, path, dpi=150)
-
-
-def safe_text(anchors: AnchorBatch) -> str:
-    """Return text such as `63 of 64 anchors are safe`."""
-    return f"{anchors.safe.sum()} of {anchors.safe.size} anchors are safe"
 
 
 def durations_text(anchors: AnchorBatch) -> str:

@@ -135,10 +135,7 @@ def open_service(
 ) -> FastAPI:
     """Load the bundles and return the application.
 
-    Args:
-        choice: the options.
-        announce: called with the models' names and versions once requests are answered.
-        zenoh: a network to join too.
+    announce: called with the models' names and versions once requests are answered
 
     Raises `AnchorFlowError` if a bundle cannot be served, or the zenoh network cannot be joined.
     """

@@ -14,6 +14,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from anchorflow_cli.options import command_app, file_option, folder_option
+from anchorflow_training.atomic_write import writing
 from anchorflow_training.checkpoint import mean_checkpoint, model_before, save_checkpoint
 from anchorflow_training.config import RunConfig
 from anchorflow_training.dataset import open_dataset
@@ -180,12 +181,13 @@ def distill(
     folder = run_folder(out)
     teacher = teacher.widened(settings.teacher.noise_scale)
     student = Distiller(settings, data, folder, teacher=teacher, pairs=pairs or folder / "pairs")
-    student.prepare(_pairs_line if student.leads else lambda *_: None)
+
+    def tell(done: int, blocks: int) -> None:
+        if student.leads:
+            typer.echo(f"pairs {done}/{blocks}")
+
+    student.prepare(tell)
     fit(student)
-
-
-def _pairs_line(done: int, blocks: int) -> None:
-    typer.echo(f"pairs {done}/{blocks}")
 
 
 @average_app.command()
@@ -258,11 +260,9 @@ def _how_good(run: TrainingRun) -> str:
 
 def _write_config(run: TrainingRun) -> None:
     file = run.out / "config.yaml"
-    try:
+    with writing(file, ConfigError):
         run.out.mkdir(parents=True, exist_ok=True)
         file.write_text(config_text(run.run_config))
-    except OSError as error:
-        raise ConfigError(f"{file}: expected a place to write ({error})") from error
 
 
 @contextmanager

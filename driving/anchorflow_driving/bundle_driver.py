@@ -68,12 +68,8 @@ class BundleDriver:
     ) -> None:
         """Check that the planner of the card can drive logs.
 
-        Args:
-            client: answers the requests.
-            card: of the model that answers them.
-            num: number of proposals; planners that choose among fewer return all of them.
-            name: of the driver; the card's by default.
-            sampler: as a request has it; the card's by default.
+        num: of proposals; planners that choose among fewer return all of them
+        name, sampler: the card's by default
 
         Raises `SensorError` if the planner takes inputs that no log has, or plans other poses than
         those of PLAN_TIMES.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -35,6 +36,15 @@ class LogError(AnchorFlowError):
     def __reduce__(self) -> tuple[Callable[..., LogError], tuple[str, str]]:
         # An exception is unpickled from its message alone by default.
         return partial(LogError, expected=self.expected, found=self.found), (self.path, self.field)
+
+
+@contextmanager
+def place_to_write(path: Path | str) -> Iterator[None]:
+    """Raise `LogError` of the file for an `OSError` of the block."""
+    try:
+        yield
+    except OSError as error:
+        raise LogError(path, "file", expected="a place to write", found=str(error)) from error
 
 
 class SensorError(AnchorFlowError):

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from anchorflow_driving.errors import UNREADABLE, LogError
+from anchorflow_driving.errors import UNREADABLE, LogError, place_to_write
 from anchorflow_driving.geometry import Array
 from anchorflow_driving.recorded_sensors import RecordedSensors, read_sensors
 from anchorflow_trajectory.car.course import SAME_POINT, without_repeats
@@ -270,22 +270,21 @@ def write_log(log: DrivingLog, path: Path | str) -> None:
     }
     arrays["dt"] = np.float32(log.dt)
     arrays |= {} if log.sensors is None else log.sensors.arrays()
-    try:
-        with Path(path).open("wb") as file:
-            np.savez_compressed(file, **arrays)
-    except OSError as error:
-        raise LogError(path, "file", expected="a place to write", found=str(error)) from error
+    with place_to_write(path), Path(path).open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def open_logs(folder: Path | str) -> list[Path]:
+    """The logs of a folder, by file name. Raises `LogError` if there are none."""
+    logs = sorted(Path(folder).glob("*.npz"))
+    if not logs:
+        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
+    return logs
 
 
 def read_logs(folder: Path | str) -> list[DrivingLog]:
-    """The logs of a folder, by file name.
-
-    Raises `LogError` if there is none, or one cannot be read.
-    """
-    paths = sorted(Path(folder).glob("*.npz"))
-    if not paths:
-        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
-    return [read_log(path) for path in paths]
+    """The logs of a folder. Raises `LogError` if there are none, or one cannot be read."""
+    return [read_log(path) for path in open_logs(folder)]
 
 
 def _read_arrays(path: Path | str) -> dict[str, NDArray]:

@@ -53,10 +53,9 @@ def export_bundle(
 
     Returns the differences between ONNX and torch, for every graph and for whole samples.
 
-    Raises:
-        ExportError: the model cannot be traced, its parts make no manifest, ONNX and torch differ
-            by more than the tolerance, the service refuses the bundle, or `out` is not a bundle or
-            cannot be written. Nothing is left behind.
+    Raises `ExportError` if the model cannot be traced, its parts make no manifest, ONNX and torch
+    differ by more than the tolerance, the service refuses the bundle, or `out` is not a bundle or
+    cannot be written. Nothing is left behind.
     """
     with into_place(out) as folder:
         parts = adapter.parts

@@ -13,7 +13,7 @@ import numpy as np
 from anchorflow_client.contract import TensorSpec
 from anchorflow_client.contract.batch import FUTURE_PROBABILITIES, FUTURES
 from anchorflow_export.bundle import into_place, write_graph
-from anchorflow_export.parity import TOLERANCE, Difference
+from anchorflow_export.parity import TOLERANCE, Difference, difference, within
 from anchorflow_export.tracing import ExportError, random_tensor, trace
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
 from anchorflow_models.torch_graphs import Role, TorchGraphs
@@ -59,10 +59,9 @@ def add_futures(
 
     Returns the differences between ONNX and torch.
 
-    Raises:
-        BundleError: there is no sound bundle at that path.
-        ExportError: the bundle has other inputs or times than the network, or ONNX and torch
-            differ by more than the tolerance. The bundle stays what it was.
+    Raises `BundleError` if there is no sound bundle at that path; `ExportError` if it has other
+    inputs or times than the network, or ONNX and torch differ by more than the tolerance. The
+    bundle stays what it was.
     """
     before, config = load_bundle(path), model.config
     manifest = before.manifest
@@ -125,12 +124,5 @@ def _proved(
     arrays[OTHERS] = others.astype(np.float32)
     wanted = TorchGraphs({FUTURES: role}).run(FUTURES, arrays)
     got = OnnxGraphs(bundle).run(FUTURES, arrays)
-    differences = []
-    for name, expected in wanted.items():
-        scale = max(1.0, float(np.abs(expected).max()))
-        error = float(np.abs(got[name] - expected).max()) / scale
-        differences.append(Difference(f"{FUTURES}, {name}", error))
-    if wrong := [each for each in differences if not each.error <= tolerance]:
-        told = "; ".join(map(str, wrong))
-        raise ExportError(f"ONNX and torch differ by more than {tolerance:g}: {told}")
-    return tuple(differences)
+    differences = [difference(f"{FUTURES}, {name}", got[name], wanted[name]) for name in wanted]
+    return within(differences, tolerance)

@@ -46,16 +46,18 @@ def prove_parity(
 ) -> tuple[Difference, ...]:
     """Compare a bundle's graphs and whole samples with the network.
 
-    Raises:
-        ExportError: differences are above the tolerance, or not a number; it lists them.
-        BundleError: the engine refuses the bundle.
+    Raises what `within` raises, and `BundleError` if the engine refuses the bundle.
     """
-    differences = (*graph_differences(adapter, bundle), *sample_differences(adapter, bundle))
-    # Written so that a NaN fails.
-    if wrong := [each for each in differences if not each.error <= tolerance]:
+    differences = [*graph_differences(adapter, bundle), *sample_differences(adapter, bundle)]
+    return within(differences, tolerance)
+
+
+def within(differences: Sequence[Difference], tolerance: float) -> tuple[Difference, ...]:
+    """Return them; raise `ExportError` of those above the tolerance or not a number."""
+    if wrong := [each for each in differences if not each.error <= tolerance]:  # a NaN fails
         numbers = "; ".join(map(str, wrong))
         raise ExportError(f"ONNX and torch differ by more than {tolerance:g}: {numbers}")
-    return differences
+    return tuple(differences)
 
 
 def graph_differences(adapter: PlannerAdapter, bundle: Bundle) -> Iterator[Difference]:
@@ -105,17 +107,17 @@ def _sample_differences(
 ) -> Iterator[Difference]:
     arrays, wanted, D = dict(got.arrays), dict(expected.arrays), bundle.manifest.D
     if bundle.manifest.sampler.kind != "ode" and "scores" in arrays:
-        yield _difference(f"{what}, the best first", arrays["scores"], wanted["scores"])
+        yield difference(f"{what}, the best first", arrays["scores"], wanted["scores"])
     # Nearly equal scores may be in either order, so match each anchor by its poses.
     rows = _nearest(got.states, expected.states)
     each = {*names_of_each(bundle.manifest.answer.extras), "scores"}
     wanted = {name: a[rows] if name in each else a for name, a in wanted.items()}
     states = expected.states[rows]
-    yield _difference(f"{what}, trajectories", got.states[..., :D], states[..., :D], relative=False)
+    yield difference(f"{what}, trajectories", got.states[..., :D], states[..., :D], relative=False)
     for column in range(D, states.shape[-1]):
-        yield _difference(f"{what}, state {column}", got.states[..., column], states[..., column])
+        yield difference(f"{what}, state {column}", got.states[..., column], states[..., column])
     for name, array in arrays.items():
-        yield _difference(f"{what}, {name}", array, wanted[name])
+        yield difference(f"{what}, {name}", array, wanted[name])
 
 
 def scene_inputs(adapter: PlannerAdapter, bundle: Bundle, sizes: Sizes, seed: int) -> Arrays:
@@ -163,12 +165,13 @@ def _nearest(got: Array, expected: Array) -> NDArray[np.intp]:
 
 def _worst(what: str, got: Arrays, expected: Arrays) -> Difference:
     """Return the largest difference of a graph's outputs."""
-    parts = [_difference(f"{what}, {name}", got[name], expected[name]) for name in got]
+    parts = [difference(f"{what}, {name}", got[name], expected[name]) for name in got]
     # A NaN compares as the worst.
     return max(parts, key=lambda part: np.nan_to_num(part.error, nan=np.inf))
 
 
-def _difference(what: str, got: Array, expected: Array, *, relative: bool = True) -> Difference:
+def difference(what: str, got: Array, expected: Array, *, relative: bool = True) -> Difference:
+    """Return the largest difference, unless not `relative` of max(1, the largest magnitude)."""
     if got.shape != expected.shape:
         raise ExportError(f"{what}: ONNX gives shape {got.shape}, torch {expected.shape}")
     # Bytes and truth values would wrap in their own type.

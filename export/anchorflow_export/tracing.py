@@ -141,14 +141,13 @@ def _check_open_axes(spec: TensorSpec) -> None:
 
 def _dynamic_shapes(module: nn.Module, inputs: Sequence[TensorSpec]) -> tuple[Any, ...]:
     """Return the open axes as torch.export takes them, with *inputs as one argument."""
-    shapes = tuple(_open_axes(spec) for spec in inputs)
+    shapes = tuple(
+        {i: _open(axis) for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
+        for spec in inputs
+    )
     taken = inspect.signature(module.forward).parameters.values()
     starred = any(each.kind is inspect.Parameter.VAR_POSITIONAL for each in taken)
     return (shapes,) if starred else shapes
-
-
-def _open_axes(spec: TensorSpec) -> dict[int, Dim]:
-    return {i: _open(axis) for i, axis in enumerate(spec.shape) if isinstance(axis, str)}
 
 
 def _open(letter: str) -> Dim:

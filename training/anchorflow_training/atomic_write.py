@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and the error where there is no place for one."""
 
 from __future__ import annotations
 
@@ -25,3 +25,12 @@ def atomic_write(path: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):
             draft.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path, refusal: type[Exception]) -> Iterator[None]:
+    """Raise `refusal` with the path for an `OSError` of the block."""
+    try:
+        yield
+    except OSError as error:
+        raise refusal(f"{path}: expected a place to write ({error})") from error

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract.fields import LIMITS
 from anchorflow_client.errors import AnchorFlowError
 from anchorflow_driving.errors import UNREADABLE
-from anchorflow_training.atomic_write import atomic_write
+from anchorflow_training.atomic_write import atomic_write, writing
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.routes.search import MOST_ROUTES
 from anchorflow_trajectory.scene import Scene
@@ -302,11 +302,8 @@ def write_meta(path: Path, meta: Mapping[str, Any]) -> None:
     Raises `DatasetError` if it cannot be written.
     """
     file = path / "dataset.json"
-    try:
-        with atomic_write(file) as stream:
-            stream.write(json.dumps(meta, indent=1).encode())
-    except OSError as error:
-        raise DatasetError(f"{file}: expected a place to write ({error})") from error
+    with writing(file, DatasetError), atomic_write(file) as stream:
+        stream.write(json.dumps(meta, indent=1).encode())
 
 
 def create_arrays(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, NDArray]:

@@ -5,9 +5,12 @@ Scene i depends on the seed and on i alone, so the bytes do not depend on the nu
 
 from __future__ import annotations
 
+import multiprocessing
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,6 @@ import numpy as np
 
 from anchorflow_training.dataset import Row, create_arrays, scene_row, write_meta
 from anchorflow_training.expert import ExpertConfig, chosen_by_route, solve
-from anchorflow_training.processes import mapper
 from anchorflow_training.scenes import RobotRanges, SceneError, draw_scene
 from anchorflow_trajectory.cost.trajectory_cost import CostWeights
 from anchorflow_trajectory.motion import MotionLimits
@@ -50,6 +52,16 @@ class SceneRecord:
     family: str
     unsolved: tuple[str, ...]
     good_share: float
+
+
+@contextmanager
+def mapper(workers: int) -> Iterator[Callable[..., Any]]:
+    """Yield `map` over that many processes, in the order of the tasks; of one, `map` itself."""
+    if workers == 1:
+        yield map
+        return
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield partial(pool.imap, chunksize=8)
 
 
 def make_dataset(

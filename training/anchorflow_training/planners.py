@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from anchorflow_driving.log import open_logs
 from anchorflow_models.registry import UNNAMED
 from anchorflow_training.config import RunConfig, TrainerConfig
 from anchorflow_training.dataset import open_dataset
@@ -20,7 +21,6 @@ from anchorflow_training.driving.goalflow_run import (
     GoalFlowRunConfig,
     open_goalflow,
 )
-from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.windows import open_windows
 from anchorflow_training.driving.wote_run import WoteRun, WoteRunConfig
 from anchorflow_training.settings import PLANNER, ConfigError, text_in

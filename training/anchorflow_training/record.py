@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
-from anchorflow_training.atomic_write import atomic_write
+from anchorflow_training.atomic_write import atomic_write, writing
 from anchorflow_training.checkpoint import CheckpointError
 
 Row = dict[str, float]
@@ -61,7 +60,7 @@ class RunRecord:
         tensorboard: bool,
     ) -> None:
         self.out, self.board = out, None
-        with self._writing():
+        with writing(self.out, CheckpointError):
             out.mkdir(parents=True, exist_ok=True)
             for name, rows in (("curve", curve), ("evaluations", evaluations)):
                 with atomic_write(out / f"{name}.jsonl") as file:
@@ -71,11 +70,11 @@ class RunRecord:
                 self.board = SummaryWriter(folder, purge_step=step + 1 if step else None)
 
     def report(self, step: int, row: Row) -> None:
-        with self._writing():
+        with writing(self.out, CheckpointError):
             self._append("curve", "train", step, row)
 
     def evaluation(self, step: int, row: Row, picture: Picture | None) -> None:
-        with self._writing():
+        with writing(self.out, CheckpointError):
             if picture is not None:
                 from matplotlib.image import imsave
 
@@ -93,13 +92,6 @@ class RunRecord:
             for key, value in row.items():
                 self.board.add_scalar(f"{group}/{key}", value, step)
             self.board.flush()
-
-    @contextmanager
-    def _writing(self) -> Iterator[None]:
-        try:
-            yield
-        except OSError as error:
-            raise CheckpointError(f"{self.out}: expected a place to write ({error})") from error
 
     def close(self) -> None:
         if self.board:

@@ -205,8 +205,7 @@ class TrainingRun(ABC):
 
         report: called in one process with the step and each new row of `curve` and `evaluations`
 
-        Raises:
-            DivergenceError: the loss or its gradient is not finite; the weights do not follow it.
+        Raises `DivergenceError` if the loss or its gradient, which is not followed, is not finite.
         """
         config = self.run_config
         before = self.curve[-1]["seconds"] if self.curve else 0.0

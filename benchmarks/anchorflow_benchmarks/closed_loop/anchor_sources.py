@@ -123,7 +123,6 @@ class LossySource:
         self._rng = np.random.default_rng([seed, 2])
 
     def plan_request(self, request: AnchorRequest) -> AnchorBatch:
-        """Plan, then raise `ConnectionFailed` if the answer is lost."""
         batch = self._source.plan_request(request)
         if self._rng.random() < self._share:
             raise ConnectionFailed(f"the answer to {request.request_id} was lost")

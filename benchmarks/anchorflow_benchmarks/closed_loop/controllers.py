@@ -84,12 +84,10 @@ class AnchorController:
         return torch.tensor(control, dtype=torch.float32), command.anchor
 
     def rest(self) -> None:
-        """Drop the motion in progress."""
         self._mppi.reset()
         self._ahead = np.zeros((0, 2))
 
     def planned(self, state: Tensor) -> Array:  # noqa: ARG002 the protocol's
-        """Return the places [T, 2] in m of the last command."""
         return self._ahead
 
 

@@ -29,8 +29,6 @@ SLOW_THROUGH = 0.6  # m/s at local goals in slow motion
 
 
 class End(Enum):
-    """The end of a run."""
-
     GOAL = "goal"
     COLLISION = "collision"
     TIMEOUT = "timeout"
@@ -108,14 +106,10 @@ class Drive:
     ) -> None:
         """Place the robot at the start.
 
-        Args:
-            world: with its start and goal.
-            controller: of the robot.
-            planner: provides anchors; None for MPPI alone. Without a usable plan the robot brakes.
-            clock: advanced tick by tick; share it with a planner in simulated time.
-            config: of ticks, map and requests.
-            seed: of the lidar's noise, of requests, and of MPPI's samples through torch's global
-                generator.
+        planner: provides anchors; None for MPPI alone. Without a usable plan the robot brakes.
+        clock: advanced tick by tick; share it with a planner in simulated time
+        seed: of the lidar's noise, of requests, and of MPPI's samples through torch's global
+            generator
         """
         self.world, self.config = world, config
         self.robot = controller.robot

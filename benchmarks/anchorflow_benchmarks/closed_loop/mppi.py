@@ -99,11 +99,7 @@ class MppiController:
     def command(
         self, state: Tensor, *, sight: Sight, goal: Array, plan: Plan | None = None
     ) -> tuple[Tensor, int | None]:
-        """Return the control [U] for a state [X], and the index of the anchor it follows or None.
-
-        goal: [2] m; plan: usable, or None without anchors. Anchors of equal durations are driven
-        at the cruise of MppiConfig, others at their own pace.
-        """
+        """Anchors of equal durations are driven at MppiConfig's cruise, others at their own pace."""
         grid = ClearanceGrid.of(
             sight.occupied,
             resolution=sight.resolution,
@@ -170,11 +166,9 @@ class MppiController:
         return self._held.plan[0], tried[chosen] if chosen >= 0 else None
 
     def rest(self) -> None:
-        """Drop the plan, so that the robot brakes."""
         self._held.plan = torch.zeros_like(self._held.plan)
 
     def planned(self, state: Tensor) -> Array:
-        """Return the planned places [T, 2] in m after a state [X]."""
         states = rollout(self.robot, state, self._held.plan[None], self.config.dt)[0]
         return states[:, :2].numpy()
 

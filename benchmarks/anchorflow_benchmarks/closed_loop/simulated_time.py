@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from functools import partial
 from itertools import count
 from time import perf_counter
 from typing import Any
@@ -59,19 +60,11 @@ class LatencyExecutor(Executor):
         """Run the function now; an `AnchorFlowError` becomes the future's."""
         future: Future[Any] = Future()
         start = self._stopwatch()
-        result, failed = None, None
         try:
-            result = fn(*args, **kwargs)
+            finish = partial(future.set_result, fn(*args, **kwargs))
         except AnchorFlowError as error:
-            failed = error
+            finish = partial(future.set_exception, error)
         latency_s = self._stopwatch() - start if self._fixed_s is None else self._fixed_s
         self.latencies_s.append(latency_s)
-
-        def finish() -> None:
-            if failed is None:
-                future.set_result(result)
-            else:
-                future.set_exception(failed)
-
         self._clock.at(self._clock.now + latency_s, finish)
         return future

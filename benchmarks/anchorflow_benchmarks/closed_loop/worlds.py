@@ -128,9 +128,8 @@ def load_worlds(source: str, *, limit: int | None = None) -> list[World]:
     `:GAP` after the seed replaces MIN_GAP: `drawn:20:0:0.12`. A file holds worlds, or scenes in the
     format of `scene_files`. At most `limit` worlds are returned, evenly spread.
 
-    Raises:
-        BenchmarkError: the file holds neither, or a scene that the robot cannot cross; or the text
-            has another form.
+    Raises `BenchmarkError` if the file holds neither, or a scene that the robot cannot cross, or
+    the text has another form.
     """
     kind, _, rest = source.partition(":")
     if kind == DRAWN:
@@ -228,7 +227,8 @@ def world_of_scene(scene: FamilyScene, name: str) -> World:
 
     Raises `BenchmarkError` if the scene has no way for the robot, or no room at an end.
     """
-    length = way_between_posts(scene)
+    # past the posts' rims
+    length = shortest_way(replace(scene, robot_radius=PASSAGE + 0.5 * scene.resolution))
     if not np.isfinite(length):
         raise BenchmarkError(f"{name}: expected a way for a robot of {PASSAGE} m, got none")
     posts = posts_of_cells(scene.occupied, scene.resolution, scene.origin)
@@ -256,11 +256,6 @@ def posts_of_cells(occupied: NDArray[np.bool_], resolution: float, origin: Array
     inner = np.asarray(binary_erosion(fenced, EIGHT_NEIGHBOURS, border_value=1), bool)
     rows, columns = np.nonzero(fenced & ~inner)
     return origin + resolution * (np.stack([columns, rows], 1) - 0.5)
-
-
-def way_between_posts(scene: FamilyScene) -> float:
-    """Return the m of the shortest way of PASSAGE past the posts' rims; NaN without one."""
-    return shortest_way(replace(scene, robot_radius=PASSAGE + 0.5 * scene.resolution))
 
 
 def room_at_ends(world: World) -> float:

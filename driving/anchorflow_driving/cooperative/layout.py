@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from anchorflow_driving.cooperative.painter import block_corners
-from anchorflow_driving.errors import LogError
+from anchorflow_driving.errors import place_to_write
 from anchorflow_driving.geometry import Array
 
 Pixels = NDArray[np.uint8]
@@ -123,8 +123,6 @@ def _write_json(path: Path, value: Any) -> None:
 
 
 def _write(path: Path, content: bytes) -> None:
-    try:
+    with place_to_write(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
-    except OSError as error:
-        raise LogError(path, "file", expected="a place to write", found=str(error)) from error

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from anchorflow_driving.geometry import Array, out_of_frame
-from anchorflow_driving.pdm.pdm_closed import PdmClosed, pdm_closed
+from anchorflow_driving.pdm.pdm_closed import pdm_closed
 from anchorflow_driving.pdm.sub_scores import SUB_SCORES, PdmScores, metres_against, rate
 from anchorflow_driving.pdm.traffic import recorded_traffic
 from anchorflow_driving.window import EgoState, Vehicle, Window
@@ -16,20 +16,13 @@ from anchorflow_trajectory.car.tracking import Motion, interpolate, track
 __all__ = ["SUB_SCORES", "PdmScorer", "PdmScores"]
 
 
-@dataclass(frozen=True)
-class Reference:
-    """What progress is measured against."""
-
-    plan: PdmClosed
-    progress: float  # m along the route x NC x DAC, among the recorded others
-
-
 class PdmScorer:
     """Scores plans on one window; made once a window, as its reference is.
 
     The others replay the record and react to nothing.
 
     speed: m/s that the ego begins with instead of the recorded one
+    progress: m along the route x NC x DAC of PDM-Closed, which EP is measured against
     """
 
     def __init__(self, window: Window, *, speed: float | None = None) -> None:
@@ -38,7 +31,7 @@ class PdmScorer:
             start = replace(self._traffic.start, speed=speed)
             self._traffic = replace(self._traffic, start=start)
         plan = pdm_closed(self._traffic.predicted())
-        self.reference = Reference(plan, float(rate(plan.motion, self._traffic).progress[0]))
+        self.progress = float(rate(plan.motion, self._traffic).progress[0])
 
     def score(self, plans: Array) -> PdmScores:
         """Scores [P] of plans [P, 8, 3] at 0.5 … 4.0 s or [P, 40, 3] at 0.1 … 4.0 s.
@@ -51,7 +44,7 @@ class PdmScorer:
 
     def judge(self, motion: Motion) -> PdmScores:
         """Scores [P] of what `motion` says is driven."""
-        return rate(motion, self._traffic, best=self.reference.progress).scores
+        return rate(motion, self._traffic, best=self.progress).scores
 
     def metres_against(self, motion: Motion) -> Array:
         """[P] m of it in lanes that lead the other way; part of no score."""

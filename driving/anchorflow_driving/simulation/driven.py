@@ -36,13 +36,7 @@ QUANTITIES = ("poses", "speed", "acceleration", "yaw_rate")
 
 
 class DrivenLog:
-    """Notes frames and windows of a drive as they pass.
-
-    Args:
-        traffic: stepped by the caller; its past frames begin the log.
-        ego: the vehicle that is driven.
-        map_fields: of the log.
-    """
+    """Notes frames and windows of a drive as they pass; the traffic's past frames begin the log."""
 
     def __init__(self, traffic: LiveTraffic, ego: str, map_fields: dict[str, Any]) -> None:
         self._traffic, self._ego, self._map_fields = traffic, ego, map_fields

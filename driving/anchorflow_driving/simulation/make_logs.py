@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from anchorflow_driving.errors import LogError
+from anchorflow_driving.errors import LogError, place_to_write
 from anchorflow_driving.log import SIMULATED, write_log
 from anchorflow_driving.simulation import LogConfig
 from anchorflow_driving.simulation.simulated_log import simulate_log
@@ -53,12 +53,8 @@ def make_logs(
         "redrawn": _counted(counts, "redrawn: "),
         "config": asdict(config),
     }
-    try:
+    with place_to_write(folder / SUMMARY):
         (folder / SUMMARY).write_text(json.dumps(summary, indent=1) + "\n")
-    except OSError as error:
-        raise LogError(
-            folder / SUMMARY, "file", expected="a place to write", found=str(error)
-        ) from error
     return summary
 
 

@@ -31,7 +31,13 @@ from anchorflow_driving.simulation.road_net import RoadNet
 from anchorflow_driving.simulation.roadside import all_that_stands, roadside
 from anchorflow_driving.simulation.routes import followed_line
 from anchorflow_driving.simulation.street_plan import ARTERIAL, QUARTER, make_net
-from anchorflow_driving.simulation.sumo_traffic import Recording, VehicleRecord, as_array, record
+from anchorflow_driving.simulation.sumo_traffic import (
+    PERSON_SIZE,
+    Recording,
+    VehicleRecord,
+    as_array,
+    record,
+)
 from anchorflow_driving.simulation.vehicle_motion import deviating, person_states, vehicle_states
 from anchorflow_driving.window_choice import Driven, choose_windows
 
@@ -143,7 +149,7 @@ def _tracks(
         states = person_states(as_array(person.place))
         cut = _cut(states, person.first, begin=begin, frames=frames)
         if np.isfinite(cut[:, 0]).sum() >= LEAST_FRAMES:
-            tracks.append((PEDESTRIAN, person.size, cut))
+            tracks.append((PEDESTRIAN, PERSON_SIZE, cut))
     return tracks, driven
 
 

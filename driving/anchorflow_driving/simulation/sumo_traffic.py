@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeVar
 
 import libsumo
 import numpy as np
@@ -46,15 +47,16 @@ class PersonRecord:
     """What SUMO said of a person."""
 
     first: int
-    size: tuple[float, float]
     place: list[tuple[float, float]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
 class Recording:
-    frames: int
     vehicles: list[VehicleRecord]
     people: list[PersonRecord]
+
+
+Run = TypeVar("Run", bound="SumoRun")
 
 
 class SumoRun:
@@ -84,7 +86,7 @@ class SumoRun:
         except libsumo.TraCIException as error:
             raise SimulationError(f"sumo: {error}") from error
 
-    def __enter__(self) -> SumoRun:
+    def __enter__(self: Run) -> Run:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -103,7 +105,7 @@ def record(net: Path, demand: Demand, *, seed: int, frames: int) -> Recording:
             traffic.step()
             _note_vehicles(vehicles, demand, frame)
             _note_people(people, frame)
-    return Recording(frames, list(vehicles.values()), list(people.values()))
+    return Recording(list(vehicles.values()), list(people.values()))
 
 
 def _note_vehicles(known: dict[str, VehicleRecord], demand: Demand, frame: int) -> None:
@@ -125,7 +127,7 @@ def _note_people(known: dict[str, PersonRecord], frame: int) -> None:
     person = libsumo.person
     for name in person.getIDList():
         if name not in known:
-            known[name] = PersonRecord(frame, PERSON_SIZE)
+            known[name] = PersonRecord(frame)
         known[name].place.append(person.getPosition(name))
 
 
@@ -143,31 +145,18 @@ class Seen:
     kind: NDArray[np.uint8]  # [K]
 
 
-class LiveTraffic:
-    """Steps SUMO, moves the ego and keeps the last frames.
+class LiveTraffic(SumoRun):
+    """A run that moves the ego and keeps the last frames.
 
     standing: objects beside the road
     """
 
-    def __init__(
-        self,
-        net: Path,
-        demand: Demand,
-        *,
-        seed: int,
-        standing: list[Standing],
-    ) -> None:
-        self._sumo, self._demand = SumoRun(net, demand, seed=seed), demand
-        self._standing = standing
+    def __init__(self, net: Path, demand: Demand, *, seed: int, standing: list[Standing]) -> None:
+        super().__init__(net, demand, seed=seed)
+        self._demand, self._standing = demand, standing
         self._past: deque[dict[str, Array]] = deque(maxlen=HISTORY_FRAMES + 1)
         self._size: dict[str, tuple[float, float]] = {}
         self._kind: dict[str, int] = {}
-
-    def __enter__(self) -> LiveTraffic:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._sumo.__exit__()
 
     @property
     def vehicles(self) -> list[str]:
@@ -209,7 +198,7 @@ class LiveTraffic:
             libsumo.vehicle.moveToXY(
                 ego, "", -1, front[0], front[1], angle=bearing % 360.0, keepRoute=FREE_PLACEMENT
             )
-        self._sumo.step()
+        super().step()
         now = {**self._vehicles(), **self._people()}
         if ego is not None and pose is not None:
             velocity = speed * np.array([np.cos(pose[2]), np.sin(pose[2])])

@@ -68,7 +68,7 @@ def test_another_speed_to_begin_with_is_judged(on_street: OnStreet) -> None:
 
     assert slower.motion(plan).speed[0, 0] == 6.0
     found = slower.score(plan)
-    assert 6.0 < found.ep[0] * slower.reference.progress < 9.0
+    assert 6.0 < found.ep[0] * slower.progress < 9.0
     assert found.c[0] == 1.0
     assert PdmScorer(window).score(plan).c[0] == 0.0
 
@@ -77,7 +77,7 @@ def test_nobody_is_judged_by_progress_where_there_is_none(on_street: OnStreet, o
     """4 m are free ahead: the reference uses some of them, which is too little to be judged by."""
     window = on_street(other(9.0, 0.0), speed=0.0)
 
-    assert 1 < PdmScorer(window).reference.progress < 4
+    assert 1 < PdmScorer(window).progress < 4
     assert score(window, np.zeros((8, 3)))["ep"] == 1
 
 

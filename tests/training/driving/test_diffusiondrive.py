@@ -22,6 +22,7 @@ from training_runs import (
     launched,
 )
 
+from anchorflow_driving.log import open_logs
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
 from anchorflow_export.adapter import ExportChoices
@@ -38,7 +39,6 @@ from anchorflow_training.driving.diffusiondrive_objective import (
 from anchorflow_training.driving.diffusiondrive_run import (
     DiffusionDriveRun,
 )
-from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.settings import ConfigError, config_text
 

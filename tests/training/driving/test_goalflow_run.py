@@ -14,14 +14,13 @@ from training_runs import assert_same_weights, changed_since, copied_weights, re
 
 from anchorflow_client.contract.batch import beside_route
 from anchorflow_client.sensors import route_ahead
-from anchorflow_driving.log import read_log
+from anchorflow_driving.log import open_logs, read_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
 from anchorflow_models.goalflow import GoalFlow
 from anchorflow_models.goalflow.config import PACES
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.driving.goalflow_run import GoalFlowRun, GoalFlowRunConfig
-from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.proposals import PER_WAY, proposals
 from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.settings import ConfigError

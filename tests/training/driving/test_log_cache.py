@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.log import read_log
+from anchorflow_driving.log import open_logs, read_log
 from anchorflow_driving.pdm import PdmScorer, direction_compliance
 from anchorflow_driving.window import Scenes
-from anchorflow_training.driving.log_cache import log_arrays, open_logs, write_arrays
+from anchorflow_training.driving.log_cache import log_arrays, write_arrays
 from anchorflow_training.driving.pdm_judge import PdmJudge
 
 

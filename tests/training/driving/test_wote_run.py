@@ -19,7 +19,7 @@ from training_runs import changed_since, copied_weights
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.errors import LogError
-from anchorflow_driving.log import read_log, write_log
+from anchorflow_driving.log import open_logs, read_log, write_log
 from anchorflow_driving.pdm import PdmScorer
 from anchorflow_driving.window import Scenes
 from anchorflow_models.wote import RewardWeights, WoTE
@@ -28,7 +28,6 @@ from anchorflow_training.checkpoint import CheckpointError, load_checkpoint, res
 from anchorflow_training.config import HeldOutConfig
 from anchorflow_training.driving import sensor_windows, wote_run
 from anchorflow_training.driving.anchors import anchor_scores, examples_of, pdms, trajectory_anchors
-from anchorflow_training.driving.log_cache import open_logs
 from anchorflow_training.driving.sensor_windows import SensorSizes, open_sensor_windows
 from anchorflow_training.driving.wote_run import WoteRun
 from anchorflow_training.settings import ConfigError

@@ -1,20 +1,4 @@
-"""Names, shapes and time step of the arrays of a trajectory file.
-
-N samples, T steps, D dimensions (x, y in m; with D = 3 a heading in rad):
-
-    positions       [N, T, D]  m
-    velocities      [N, T, D]  m/s         optional: differences of the positions
-    accelerations   [N, T, D]  m/s^2       optional: differences of the velocities
-    cost_maps       [N, C, H, W]           optional: in [0, 1], or 8 bits with 255 for 1
-    start_states    [N, 3D]    p, v, a     optional
-    goal_states     [N, 2D]    p, v        optional
-    style_weights   [N, 3]     safety, energy, smooth; at least 0, not all 0; optional
-    safety_margins  [N]        m beyond robot_radius that the trajectory keeps; optional
-    quality         [N]        in [0, 1], weighs the sample in the loss; optional
-    resolution      [] or [N]  m/cell of the cost maps
-    origin          [2] or [N, 2]  m, outer corner of cell (0, 0); default centres the map on (0, 0)
-    dt, horizon_s   [] or [N]  s; horizon_s = dt (T - 1)
-    times           [T]        s, evenly spaced; implies dt
+"""Names, shapes and time step of the arrays of a trajectory file; see docs/training-data.md.
 
 Files of other tools say the same in other words, which `ALIASES` lists.
 """

@@ -55,8 +55,6 @@ def read_whole(array: ArraySource) -> NDArray[Any]:
 
 @dataclass(frozen=True)
 class HeldArray:
-    """An array in memory."""
-
     values: NDArray[Any]
 
     @property
@@ -153,9 +151,8 @@ LOCAL_HEADER = struct.Struct("<26xHH")  # of a zip member, up to the lengths of 
 def open_arrays(path: Path, *, allow_pickle: bool = False) -> Arrays:
     """The arrays of a file by name; an array without a name is "positions".
 
-    Raises:
-        DatasetError: the file is missing, broken or of another kind, or a pickle that was not
-            explicitly allowed; the message names the file.
+    Raises `DatasetError`, naming the file, if it is missing, broken or of another kind, or a pickle
+    that was not explicitly allowed.
     """
     openers: dict[str, Callable[[Path], Arrays]] = {
         ".npy": _open_npy,

@@ -36,8 +36,7 @@ class PoseTrack:
 def read_poses(path: Path, *, pose_rate_hz: float = 10.0) -> list[PoseTrack]:
     """The drives under a folder, or in one KITTI file; `pose_rate_hz` where no times are recorded.
 
-    Raises:
-        DatasetError: naming the file and the line, or saying that there are no poses.
+    Raises `DatasetError`, naming the file and the line, or saying that there are no poses.
     """
     if path.is_file():
         return [read_kitti(path, pose_rate_hz)]

@@ -22,7 +22,7 @@ from anchorflow_training.dataset import (
     shrink_arrays,
     write_meta,
 )
-from anchorflow_training.processes import mapper
+from anchorflow_training.make_data import mapper
 from anchorflow_trajectory.finish.certificate import path_clearance
 from anchorflow_trajectory.motion import MotionLimits
 from anchorflow_trajectory.scene import Scene

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from anchorflow_client.contract import uniform_schedule
 from anchorflow_driving.errors import UNREADABLE
 from anchorflow_models.flow_matching import LossWeights
-from anchorflow_training.atomic_write import atomic_write
+from anchorflow_training.atomic_write import atomic_write, writing
 from anchorflow_training.batches import (
     Batch,
     FlowBatchConfig,
@@ -166,12 +166,10 @@ class PairBank:
         self._put(self.file(block), packed.getbuffer())
 
     def _put(self, path: Path, content: bytes | memoryview) -> None:
-        try:
+        with writing(path, ConfigError):
             path.parent.mkdir(parents=True, exist_ok=True)
             with atomic_write(path) as file:
                 file.write(content)
-        except OSError as error:
-            raise ConfigError(f"{path}: expected a place to write ({error})") from error
 
     def _is_whole(self, block: int) -> bool:
         try:
@@ -193,8 +191,7 @@ def open_pairs(
 ) -> PairBank:
     """The pairs of this teacher on these scenes, which `path` holds or is to hold.
 
-    Raises:
-        ConfigError: the pairs that are there are others; the message says in what.
+    Raises `ConfigError` if the pairs that are there are others; the message says in what.
     """
     scenes = min(config.scenes or len(dataset), len(dataset))
     wanted = {

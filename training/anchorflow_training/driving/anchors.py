@@ -82,8 +82,7 @@ def trajectory_anchors(futures: NDArray[np.floating], *, count: int, seed: int) 
 def read_points(path: Path, shape: tuple[int, ...], *, setting: str) -> Floats:
     """Return the goals or anchors of a .npy file.
 
-    Raises:
-        ConfigError: naming the setting; the file is unreadable, of another shape, or not finite.
+    Raises `ConfigError`, naming the setting, if it is unreadable, of another shape or not finite.
     """
     try:
         points = np.load(path, allow_pickle=False)

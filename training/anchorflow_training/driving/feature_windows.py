@@ -23,7 +23,7 @@ from scipy.interpolate import CubicSpline
 from anchorflow_driving.errors import UNREADABLE, LogError
 from anchorflow_driving.geometry import arc_lengths, at_places
 from anchorflow_driving.importers.navsim import EGO_SIZE
-from anchorflow_training.driving.log_cache import open_logs
+from anchorflow_driving.log import open_logs
 from anchorflow_training.driving.windows import MOVED, SPACING
 
 Floats = NDArray[np.float32]

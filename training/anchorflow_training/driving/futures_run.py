@@ -16,7 +16,7 @@ from torch.nn import functional as F
 from anchorflow_client.sensors import KIND, OTHERS, OTHERS_TIMES_S
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.futures import MISSED_M, MOVING_M, recorded_futures
-from anchorflow_driving.log import read_log
+from anchorflow_driving.log import open_logs, read_log
 from anchorflow_driving.sensors.others import others_seen
 from anchorflow_driving.window import Scenes
 from anchorflow_models.futures import FuturesConfig, FuturesNetwork
@@ -25,7 +25,7 @@ from anchorflow_training.config import HeldOutConfig, RunConfig
 from anchorflow_training.driving.augmentation import mirror
 from anchorflow_training.driving.driving_run import DrivingRun
 from anchorflow_training.driving.goalflow_run import GoalFlowRun
-from anchorflow_training.driving.log_cache import log_arrays, open_logs
+from anchorflow_training.driving.log_cache import log_arrays
 from anchorflow_training.driving.losses import likeness_loss
 from anchorflow_training.driving.windows import DrivingWindows
 from anchorflow_training.record import Row

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from anchorflow_driving.log import open_logs
 from anchorflow_driving.recorded_sensors import kinds_of, read_sensors
 from anchorflow_models.goalflow import GoalFlow, GoalFlowConfig
 from anchorflow_models.goalflow.goalflow import POSE
@@ -43,7 +44,7 @@ from anchorflow_training.driving.goalflow_objective import (
     GoalFlowObjectiveConfig,
     OutcomeObjective,
 )
-from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon, open_logs
+from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon
 from anchorflow_training.driving.proposals import proposals
 from anchorflow_training.driving.sensor_windows import (
     SensorSizes,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
-from anchorflow_driving.errors import UNREADABLE, LogError
+from anchorflow_driving.errors import UNREADABLE, LogError, place_to_write
 from anchorflow_training.atomic_write import atomic_write
 from anchorflow_training.settings import ConfigError
 from anchorflow_trajectory.threads import usable_cores
@@ -25,14 +25,6 @@ PLAN_SETTINGS: Mapping[str, Any] = {"dt": float(PLAN_TIMES[0])}
 Arrays = Mapping[str, NDArray[Any]]
 Progress = Callable[[int, int], None]
 """Called with the number of logs that are done, and of all."""
-
-
-def open_logs(folder: Path) -> Sequence[Path]:
-    """Return the logs of a folder. Raises `LogError` if there are none."""
-    logs = sorted(folder.glob("*.npz"))
-    if not logs:
-        raise LogError(folder, "folder", expected="logs (*.npz)", found="none")
-    return logs
 
 
 def check_horizon(num_steps: int, *, whole: str | None) -> None:
@@ -89,11 +81,8 @@ def log_arrays(
 
 def write_arrays(path: Path, arrays: Arrays) -> None:
     """Write an .npz whole or not at all; raise `LogError` if there is no place to write."""
-    try:
-        with atomic_write(path) as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-    except OSError as error:
-        raise LogError(path, "file", expected="a place to write", found=str(error)) from error
+    with place_to_write(path), atomic_write(path) as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
 
 
 def _cache(log: Path, *, suffix: str, make: Callable[[Path], Arrays]) -> None:

@@ -93,9 +93,7 @@ def advantages(sub_scores: Tensor, anchors: int) -> Tensor:
 
 def pose_distance(poses: Tensor, others: Tensor) -> Tensor:
     """Mean absolute differences [...] of poses [..., T, 3], headings the short way round."""
-    apart = poses - others
-    turn = torch.atan2(apart[..., 2].sin(), apart[..., 2].cos())
-    return torch.cat([apart[..., :2], turn[..., None]], -1).abs().mean((-1, -2))
+    return _apart(poses, others).mean((-1, -2))
 
 
 HEADING = 2  # of x, y, heading, length, width
@@ -105,15 +103,13 @@ CLOSE = 0.3  # m/s, below which smooth L1 is a square
 THERE = 5.0  # weight of occupancy relative to velocities
 
 
-def focal_loss(
-    logits: Tensor, classes: Tensor, *, alpha: float = 0.5, gamma: float = 2.0
-) -> Tensor:
-    """-α (1 - p)^γ log p of the true class [B], the mean over its cells (Lin et al., 2017).
+def focal_loss(logits: Tensor, classes: Tensor) -> Tensor:
+    """-0.5 (1 - p)² log p of the true class [B], the mean over its cells (Lin et al., 2017).
 
     logits: [B, classes, H, W]; classes: integers [B, H, W]
     """
     log_p = logits.log_softmax(1).gather(1, classes.long()[:, None])[:, 0]
-    return -(alpha * (1 - log_p.exp()).pow(gamma) * log_p).mean((1, 2))
+    return -(0.5 * (1 - log_p.exp()).pow(2.0) * log_p).mean((1, 2))
 
 
 def occupancy_loss(logits: Tensor, occupied: Tensor) -> Tensor:

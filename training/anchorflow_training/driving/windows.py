@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from anchorflow_driving.drivers import PLAN_TIMES
 from anchorflow_driving.geometry import arc_lengths, at_places
-from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, read_log
+from anchorflow_driving.log import FRAME_S, FUTURE_FRAMES, open_logs, read_log
 from anchorflow_driving.sensors.bev import BEV, DRAWING, draw_bev
 from anchorflow_driving.sensors.inputs import status_of
 from anchorflow_driving.window import Scenes, Window
-from anchorflow_training.driving.log_cache import Arrays, log_arrays, no_windows, open_logs
+from anchorflow_training.driving.log_cache import Arrays, log_arrays, no_windows
 
 Floats = NDArray[np.float32]
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from anchorflow_client.sensors import resized
 from anchorflow_models.layers.blocks import PIXEL_MEAN, PIXEL_SPREAD
 from anchorflow_models.v2x_vlm.config import BEGIN
+from anchorflow_training.atomic_write import writing
 from anchorflow_training.dataset import DatasetError
 from anchorflow_training.v2x.florence import load_florence
 from anchorflow_training.v2x.recording import read_picture, read_recording
@@ -98,10 +99,7 @@ def describe_recording(
             json.dumps({"picture": picture_name(recording, each), "description": text}) + "\n"
             for each, text in zip(part, texts, strict=True)
         ]
-        try:
-            with file.open("a") as lines:
-                lines.writelines(rows)
-        except OSError as error:
-            raise DatasetError(f"{file}: expected a place to write ({error})") from error
+        with writing(file, DatasetError), file.open("a") as lines:
+            lines.writelines(rows)
         progress(done + begin + len(part), len(pictures))
     return len(pictures)

@@ -144,9 +144,8 @@ def make_pairs(
     descriptions: file of what the car's pictures show, by `anchorflow data descriptions`
     seed: of which sequences are held out
 
-    Raises:
-        DatasetError: naming the file that is wrong, or the folder that is there already or cannot
-            be written.
+    Raises `DatasetError`, naming the file that is wrong, or the folder that is there already or
+    cannot be written.
     """
     if out.exists() and any(out.iterdir()):
         raise DatasetError(f"{out}: expected a new or an empty folder, found files")
