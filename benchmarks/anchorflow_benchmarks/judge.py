@@ -43,25 +43,6 @@ DISTINCT = 0.1  # m rms from which two anchors are distinct
 ROUTE_MEASURES = ("recall", "first", "found", "distinct")
 EIGHT_NEIGHBOURS = np.ones((3, 3))
 
-MEASURES = (
-    "success",
-    "any",
-    "free",
-    "reached",
-    "feasible",
-    "coherent",
-    "classes",
-    "length",
-    "jerk",
-    "clear",
-    "spread",
-    "duplicates",
-    "unsafe_called_safe",
-    *ROUTE_MEASURES,
-    "duration",
-    "haste",
-)
-
 
 @dataclass(frozen=True)
 class Judgement:
@@ -69,8 +50,7 @@ class Judgement:
 
     clearance: m beyond robot_radius, smallest along the path; below -robot_radius off the map
     length: m; jerk: mean size in m/s^3; duration: s; peak: greatest speed in m/s
-    measures: the scene's row, by the names of MEASURES, which docs/benchmarks.md explains;
-        NaN if no anchor succeeds
+    measures: the scene's row, whose columns docs/benchmarks.md explains; NaN if no anchor succeeds
     routes: number of routes of the scene
     """
 
@@ -143,9 +123,7 @@ class SceneJudge:
             {},
             len(self.listed_routes),
         )
-        good = verdict.success
         verdict.measures.update(self._measures(verdict, position, anchors.safe))
-        verdict.measures.update(self._route_measures(position[good]))
         return verdict
 
     def clearance(self, paths: Array) -> Array:
@@ -223,10 +201,20 @@ class SceneJudge:
         self, verdict: Judgement, position: Array, safe: BoolArray | None
     ) -> dict[str, float]:
         good = verdict.success
-        names = ("success", "free", "reached", "feasible", "coherent")
-        row = {name: float(getattr(verdict, name).mean()) for name in names}
-        row |= {"any": float(good.any()), "classes": 0.0}
-        row |= dict.fromkeys(("length", "jerk", "clear", "duration", "haste"), np.nan)
+        names = ("free", "reached", "feasible", "coherent")
+        promised = np.nan if safe is None else float((safe & ~verdict.free).sum())
+        row = {
+            "success": float(good.mean()),
+            "any": float(good.any()),
+            **{name: float(getattr(verdict, name).mean()) for name in names},
+            "classes": 0.0,
+            **dict.fromkeys(("length", "jerk", "clear"), np.nan),
+            "spread": float(position.std(axis=0).mean()),
+            "duplicates": duplicate_share(position),
+            "unsafe_called_safe": promised,
+            **self._route_measures(position[good]),
+            **dict.fromkeys(("duration", "haste"), np.nan),
+        }
         if good.any():
             row["classes"] = float(count_classes(position[good], self._obstacle_points))
             shortest = self._shortest or np.nan  # start and goal in one cell have no ratio
@@ -237,10 +225,7 @@ class SceneJudge:
             row["haste"] = float(
                 verdict.duration[good].min() / least_duration(shortest, self.limits)
             )
-        row["spread"] = float(position.std(axis=0).mean())
-        row["duplicates"] = duplicate_share(position)
-        promised = np.nan if safe is None else float((safe & ~verdict.free).sum())
-        return row | {"unsafe_called_safe": promised}
+        return row
 
     def _route_measures(self, successes: Array) -> dict[str, float]:
         """Return ROUTE_MEASURES of successes [M, T, 2]; NaN if the scene has no route."""

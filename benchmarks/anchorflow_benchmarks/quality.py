@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from anchorflow_benchmarks import BenchmarkError, options
 from anchorflow_benchmarks.baselines import BASELINES, ExpertPlanner, named_baselines
-from anchorflow_benchmarks.judge import MEASURES, JudgedPlan, Judgement, SceneJudge
+from anchorflow_benchmarks.judge import JudgedPlan, Judgement, SceneJudge
 from anchorflow_benchmarks.planners import (
     CARD,
     Planner,
@@ -140,7 +140,7 @@ def quality_row(planner: Planner, plans: Sequence[JudgedPlan]) -> Row:
     """Average the measures of a planner's plans over the scenes that have a value."""
     measures = [plan.verdict.measures for plan in plans]
     row: dict[str, str | float | int | None] = {"planner": planner.name}
-    for name in MEASURES:
+    for name in measures[0]:
         values = np.array([measure[name] for measure in measures])
         row[name] = _total(values) if name in COUNTS else mean_of(values)
     row["evaluations"] = planner.evaluations

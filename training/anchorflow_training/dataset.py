@@ -57,16 +57,7 @@ DTYPES = {
     "route": np.uint8,
 }
 OPTIONAL_DTYPES = {"starts": np.float32, "quality": np.float32}
-FINITE = (
-    "states",
-    "durations",
-    "x_curr",
-    "x_goal",
-    "w_style",
-    "limits",
-    "map_geometry",
-    "route_states",
-)
+FINITE = tuple(name for name, dtype in DTYPES.items() if dtype is np.float32)
 
 
 class DatasetError(AnchorFlowError):
