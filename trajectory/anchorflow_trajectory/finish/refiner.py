@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
-from anchorflow_trajectory.ending import in_time
+from anchorflow_trajectory.finish.beside import DODGE, FEW, STIFFER, best_beside
 from anchorflow_trajectory.finish.bisection import bisect_to_safe
 from anchorflow_trajectory.finish.certificate import (
     are_safe,
@@ -23,8 +23,7 @@ from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.finish.refined import Refined, Refinement, numbered
 from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, new_starts
-from anchorflow_trajectory.routes.passing import evasions
-from anchorflow_trajectory.scene import CLOSE, HURRY, Scene
+from anchorflow_trajectory.scene import Scene
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
 from anchorflow_trajectory.threads import Spread, in_one
 
@@ -35,21 +34,15 @@ FURTHER_RATES = (0.15, 0.15)
 # Where something moves among walls such a pass is long, and as many get it as may then be safe. In
 # the open, with people alone, more robots collided with long passes.
 FURTHER_STEPS, FURTHER_MOST = 50, 32
-STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
 HURRIED = (1.0, 0.9, 0.8, 0.7)  # shares of a duration, of which the cheapest is kept
 # A route that still has no safe anchor gets new starts and longer passes, first on this basis, then
 # on a finer one, and there the cheapest starts of each route get the longest pass. Its rate is for
 # a robot of 2 m/s and 3 m/s^2 and grows with v_max^2 / a_max, the room needed to turn.
 RESTART_STEPS, RESTART_RATE = 60, 0.1
-SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the reference time off
 LONGER_STEPS = 150
 MOST_LONGER, MOST_BESIDE = 8, 2  # starts of a route that get it; beside other routes that are safe
 POLISH = OptimisationPass(RESTART_STEPS, RESTART_RATE, shares=HURRIED)
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
-DODGE = OptimisationPass(60, RESTART_RATE, slowed_after=True)  # where no anchor is safe
-# Share of v_max that ways over places and times reach, and m that they keep from what moves, where
-# no way to the goal is safe.
-CARES = ((HURRY, CLOSE), (0.8, 0.1), (0.6, 0.2))
 AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
 
 
@@ -85,24 +78,25 @@ class Refiner:
         field = scene.cost_fields.clearance
         certified = spec.certified_margin if self._attainable(spec.certified_margin) else 0.0
         barrier = self._barrier(field, certified) if spec.barrier else None
+        share = 1.0
         if spec.project:
-            cost, splines = self._project(cost, splines, route, certified, barrier)
+            cost, splines, share = self._project(cost, splines, route, certified, barrier)
         elif barrier is not None:
-            safe = self._safe(splines, cost.basis, certified)
+            safe = self.are_safe(splines, cost.basis, certified)
             splines, _ = self._corrected(splines, safe, certified, barrier)
         is_finished = spec.project or spec.smooth or spec.barrier
         if is_finished:
-            refined = self._measured(splines, cost, spec)
+            refined = self.measured(splines, cost, spec)
         else:
             found = self._as_sampled(states, splines.duration)
-            refined = self._measured(splines, cost, spec, found)
+            refined = self.measured(splines, cost, spec, found)
             is_one = is_one_motion(found, splines.duration, scene.ends, scene.motion)
             refined = replace(refined, safe=refined.safe & is_one)
-        if spec.project and scene.movers is not None and not refined.safe.any():
-            return self._yielding(spec, len(states)) or refined
+        if scene.movers is not None and share < FEW:
+            return best_beside(self, refined, spec, len(states))
         return refined
 
-    def _measured(
+    def measured(
         self,
         splines: Splines,
         cost: TrajectoryCost,
@@ -133,44 +127,6 @@ class Refiner:
             numbered(scene.classes(position, splines.duration), scores),
         )
 
-    def _yielding(self, spec: Refinement, count: int) -> Refined | None:
-        """Return anchors that end short of the goal, or else step aside, if one of them is safe."""
-        certified = spec.certified_margin
-        if self.scene.is_touched:
-            return None
-        finer = self.scene.basis.finer
-        for care in (None, *CARES):
-            refiner, others = self, self.scene.ways.others
-            if care is not None:
-                if (timed := in_time(self.scene, *care)) is None:
-                    continue
-                nearer, others = timed
-                refiner = replace(self, scene=nearer)
-            assert others is not None
-            cost, drawn = refiner.cost(spec), others[np.arange(count) % len(others)]
-            if finer is not None:
-                drawn, cost = refiner.scene.basis.refined(drawn), replace(cost, basis=finer)
-            drawn, safe = refiner._optimised(DODGE, cost, drawn, certified, None)
-            if safe.any():
-                moved = refiner._bisected(drawn, safe, cost, certified)
-                return self._short_of_goal(refiner._measured(moved, cost, spec))
-        scene, basis = self.scene, self.scene.basis.finer or self.scene.basis
-        cost = replace(self.cost(spec), basis=basis)
-        drawn = evasions(basis, scene.ends, scene.motion)
-        safe = self._safe(drawn, basis, certified)
-        if not safe.any():
-            return None
-        kept = np.flatnonzero(safe)[np.argsort(cost.value(drawn[safe]), kind="stable")]
-        chosen = drawn[kept[np.arange(count) % len(kept)]]
-        return self._short_of_goal(self._measured(chosen, cost, spec))
-
-    def _short_of_goal(self, refined: Refined) -> Refined:
-        """Return the anchors with scores that tell how far from the goal they end."""
-        scene = self.scene
-        short = np.linalg.norm(refined.positions[:, -1, :2] - scene.x_goal[:2], axis=-1)
-        scores = refined.scores - SHORT * short / (scene.motion.v_max * scene.reference_s)
-        return replace(refined, scores=scores.astype(refined.scores.dtype))
-
     def cost(self, spec: Refinement) -> TrajectoryCost:
         """Return the cost that the projection descends and that scores and guidance use."""
         scene, margin = self.scene, spec.safety_margin
@@ -196,14 +152,14 @@ class Refiner:
         route: NDArray[np.intp],
         certified: float,
         barrier: ControlBarrier | None,
-    ) -> tuple[TrajectoryCost, Splines]:
+    ) -> tuple[TrajectoryCost, Splines, float]:
         """Optimise, restart routes without a safe anchor, and bisect what is still not safe.
 
-        Return the cost on the splines' basis, and the splines.
+        Return the cost on the splines' basis, the splines, and the share that needed no bisection.
         """
         scene, asked = self.scene, cost
         first = OptimisationPass(self.steps, self.rate, shares=HURRIED)
-        splines, safe = self._optimised(first, cost, splines, certified, barrier)
+        splines, safe = self.optimised(first, cost, splines, certified, barrier)
         helped = ~safe
         steps, most = self.steps, None
         if scene.movers is not None and scene.occupied.any():
@@ -215,7 +171,7 @@ class Refiner:
                 break
             cost = replace(cost, weights=cost.weights.stiffer(STIFFER))
             slowly = OptimisationPass(steps, rate, slowed_before=True, slowed_after=True)
-            tried, gained = self._optimised(slowly, cost, splines[failed], certified, barrier)
+            tried, gained = self.optimised(slowly, cost, splines[failed], certified, barrier)
             splines = splines.replaced(failed, tried)
             safe[failed] = gained
             helped = ~safe & ~self._has_any(route[safe])[route]
@@ -231,10 +187,10 @@ class Refiner:
             restart = Reinitialisation(splines, safe.copy(), route, lost)
             cost = self._reinitialise(restart, cost, certified, barrier)
             splines, safe = restart.splines, restart.safe
-        moved = self._bisected(splines, safe, cost, certified, route)
-        return replace(asked, basis=cost.basis), moved
+        moved = self.bisected(splines, safe, cost, certified, route)
+        return replace(asked, basis=cost.basis), moved, float(safe.mean())
 
-    def _bisected(
+    def bisected(
         self,
         splines: Splines,
         safe: BoolArray,
@@ -267,7 +223,7 @@ class Refiner:
         """Replace anchors, none of which is safe, by other ways past what moves that are."""
         others = self.scene.ways.others
         assert others is not None
-        tried, gained = self._optimised(DODGE, cost, others, certified, barrier)
+        tried, gained = self.optimised(DODGE, cost, others, certified, barrier)
         found = np.flatnonzero(gained)[: len(splines)]
         places = np.arange(len(found))
         safe[places] = True
@@ -324,7 +280,7 @@ class Refiner:
     ) -> None:
         """Optimise starts and keep those that are then safe on their own route."""
         splines, along = begun
-        tried, safe = self._optimised(optimisation, cost, splines, certified, barrier)
+        tried, safe = self.optimised(optimisation, cost, splines, certified, barrier)
         gained = safe & self._on_route(tried, cost.basis, along)
         tried = self._polished(tried, along, gained, cost, certified, barrier)
         restart.take(tried, along, gained, cost.value(tried))
@@ -342,7 +298,7 @@ class Refiner:
         kept = np.flatnonzero(gained)
         if not len(kept):
             return tried
-        found, safe = self._optimised(POLISH, cost, tried[kept], certified, barrier)
+        found, safe = self.optimised(POLISH, cost, tried[kept], certified, barrier)
         better = safe & self._on_route(found, cost.basis, along[kept])
         better &= cost.value(found) < cost.value(tried[kept])
         return tried.replaced(kept[better], found[better])
@@ -365,7 +321,7 @@ class Refiner:
         kept = [a == scene.routes[k].signature for a, k in zip(found, route, strict=True)]
         return np.array(kept, np.bool_)
 
-    def _optimised(
+    def optimised(
         self,
         optimisation: OptimisationPass,
         cost: TrajectoryCost,
@@ -387,11 +343,11 @@ class Refiner:
             return splines, safe
         failed = np.flatnonzero(~safe)
         corrected = barrier.corrected(splines[failed])
-        gained = self._safe(corrected, barrier.basis, certified)
+        gained = self.are_safe(corrected, barrier.basis, certified)
         safe[failed[gained]] = True
         return splines.replaced(failed[gained], corrected[gained]), safe
 
-    def _safe(self, splines: Splines, basis: SplineBasis, certified: float) -> BoolArray:
+    def are_safe(self, splines: Splines, basis: SplineBasis, certified: float) -> BoolArray:
         fields = self.scene.cost_fields
         return are_safe(
             splines,
