@@ -142,7 +142,7 @@ def test_a_style_is_chosen_by_name_dragged_and_moved_by_keys(visit: Any) -> None
 
     dragged = visit.answer(
         lambda: visit.drag((knob["x"] + 8, knob["y"] + 8), energy),
-        lambda asked: asked["w_style"][1] > 0.9,
+        lambda asked: asked["w_style"][1] > 0.99,
     )
     visit.wait_for_another_picture(picture)
     expect(name).to_have_value("custom")

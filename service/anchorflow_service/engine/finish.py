@@ -50,7 +50,7 @@ def refiner_of(manifest: Manifest, scene: MapScene, *, spread: Spread = in_one) 
     """Return the refiner of a scene, for a manifest whose finish is "spline"."""
     entry = manifest.finish
     assert isinstance(entry, SplineEntry)
-    return Refiner(scene.scene, entry.steps, entry.rate, spread)
+    return Refiner(scene.scene, entry.steps, entry.rate, spread=spread)
 
 
 def arrays_of(refined: Refined, scene: MapScene, steps: int) -> Arrays:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +16,10 @@ from anchorflow_trajectory import FloatArray
 from anchorflow_trajectory.ending import in_time
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
 from anchorflow_trajectory.finish.refined import Refined, Refinement
+from anchorflow_trajectory.finish.scene_finish import SceneFinish
 from anchorflow_trajectory.routes.passing import evasions
 from anchorflow_trajectory.scene import CLOSE, HURRY
 from anchorflow_trajectory.spline.basis import Splines
-
-if TYPE_CHECKING:
-    from anchorflow_trajectory.finish.refiner import Refiner
 
 FEW = 0.1  # share of safe anchors, below which others are looked for
 STIFFER = 4.0  # factor on the weights of obstacles and limits from one pass to the next
@@ -34,40 +31,46 @@ SHORT = 10.0  # cost of an end elsewhere, a way that v_max covers in the referen
 RATHER = 9.0  # times that cost more is borne for anchors that end at the goal
 
 
-def best_beside(refiner: Refiner, refined: Refined, spec: Refinement, count: int) -> Refined:
+def best_beside(finish: SceneFinish, refined: Refined, spec: Refinement, count: int) -> Refined:
     """Return what is best of a scene's own anchors and of others that may end short of the goal.
 
     Where none of these is safe, anchors step aside. Where the robot is touched, nothing is safe.
     """
-    if refiner.scene.is_touched:
+    if finish.scene.is_touched:
         return refined
-    found = [refined] if refined.safe.any() else [*_dodging(refiner, spec, count)]
-    found += islice(_in_time(refiner, spec, count), 1)
+    found = [refined] if refined.safe.any() else [*_dodging(finish, spec, count)]
+    found += islice(_in_time(finish, spec, count), 1)
     if not found:
-        return _evading(refiner, spec, count) or refined
-    return max(found, key=lambda each: _worth(refiner, each))
+        return _evading(finish, spec, count) or refined
+    return max(found, key=lambda each: _worth(finish, each))
 
 
-def _dodging(refiner: Refiner, spec: Refinement, count: int) -> Iterator[Refined]:
+def _dodging(finish: SceneFinish, spec: Refinement, count: int) -> Iterator[Refined]:
     """Yield anchors along other ways past what moves, if one of them is safe."""
-    others = refiner.scene.ways.others
+    others = finish.scene.ways.others
     assert others is not None
-    yield from _along(refiner, refiner, others[:count], spec, count, passes=1)
+    yield from _along(finish, finish, others[:count], spec, count, passes=1)
 
 
-def _in_time(refiner: Refiner, spec: Refinement, count: int) -> Iterator[Refined]:
+def _in_time(finish: SceneFinish, spec: Refinement, count: int) -> Iterator[Refined]:
     """Yield anchors along the cheapest ways over places and times, the most hurried first."""
     for care in CARES:
-        if (timed := in_time(refiner.scene, *care)) is not None:
+        if (timed := in_time(finish.scene, *care)) is not None:
             scene, ways = timed
-            nearer = replace(refiner, scene=scene)
-            yield from _along(refiner, nearer, ways[:TIMED], spec, count, passes=DODGES)
+            nearer = replace(finish, scene=scene)
+            yield from _along(finish, nearer, ways[:TIMED], spec, count, passes=DODGES)
 
 
 def _along(
-    asked: Refiner, nearer: Refiner, drawn: Splines, spec: Refinement, count: int, *, passes: int
+    asked: SceneFinish,
+    nearer: SceneFinish,
+    drawn: Splines,
+    spec: Refinement,
+    count: int,
+    *,
+    passes: int,
 ) -> Iterator[Refined]:
-    """Yield `count` anchors along ways of the nearer refiner's scene, if one of them is safe.
+    """Yield `count` anchors along ways of the nearer finish's scene, if one of them is safe.
 
     passes: how many are tried until one is; each is stiffer than the last
     """
@@ -85,33 +88,33 @@ def _along(
             return
 
 
-def _evading(refiner: Refiner, spec: Refinement, count: int) -> Refined | None:
+def _evading(finish: SceneFinish, spec: Refinement, count: int) -> Refined | None:
     """Return anchors that step aside from where the robot is, if one of them is safe."""
-    scene, basis = refiner.scene, refiner.scene.basis.finer or refiner.scene.basis
-    cost = replace(refiner.cost(spec), basis=basis)
+    scene, basis = finish.scene, finish.scene.basis.finer or finish.scene.basis
+    cost = replace(finish.cost(spec), basis=basis)
     drawn = evasions(basis, scene.ends, scene.motion)
-    safe = refiner.are_safe(drawn, basis, spec.certified_margin)
+    safe = finish.are_safe(drawn, basis, spec.certified_margin)
     if not safe.any():
         return None
     kept = np.flatnonzero(safe)[np.argsort(cost.value(drawn[safe]), kind="stable")]
     chosen = drawn[kept[np.arange(count) % len(kept)]]
-    return _short_of_goal(refiner, refiner.measured(chosen, cost, spec))
+    return _short_of_goal(finish, finish.measured(chosen, cost, spec))
 
 
-def _worth(refiner: Refiner, refined: Refined) -> float:
+def _worth(finish: SceneFinish, refined: Refined) -> float:
     """Return the best score of what is safe, for which an end short of the goal costs more."""
-    worth = refined.scores - RATHER * _shortness(refiner, refined)
+    worth = refined.scores - RATHER * _shortness(finish, refined)
     return float(worth[refined.safe].max())
 
 
-def _short_of_goal(refiner: Refiner, refined: Refined) -> Refined:
+def _short_of_goal(finish: SceneFinish, refined: Refined) -> Refined:
     """Return anchors with scores that tell how far from the goal they end."""
-    scores = refined.scores - _shortness(refiner, refined)
+    scores = refined.scores - _shortness(finish, refined)
     return replace(refined, scores=scores.astype(refined.scores.dtype))
 
 
-def _shortness(refiner: Refiner, refined: Refined) -> FloatArray:
+def _shortness(finish: SceneFinish, refined: Refined) -> FloatArray:
     """Return what it costs [N] to end where anchors do and not at the goal."""
-    scene = refiner.scene
+    scene = finish.scene
     short = np.linalg.norm(refined.positions[:, -1, :2] - scene.x_goal[:2], axis=-1)
     return SHORT * short / (scene.motion.v_max * scene.reference_s)

@@ -11,21 +11,13 @@ from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
 from anchorflow_trajectory.finish.beside import DODGE, FEW, STIFFER, best_beside
-from anchorflow_trajectory.finish.bisection import bisect_to_safe
-from anchorflow_trajectory.finish.certificate import (
-    are_safe,
-    is_one_motion,
-    path_clearance,
-    required_clearance,
-    verify,
-)
+from anchorflow_trajectory.finish.certificate import is_one_motion, required_clearance
 from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
-from anchorflow_trajectory.finish.refined import Refined, Refinement, numbered
+from anchorflow_trajectory.finish.refined import Refined, Refinement
 from anchorflow_trajectory.finish.reinitialise import Reinitialisation, Starts, new_starts
-from anchorflow_trajectory.scene import Scene
+from anchorflow_trajectory.finish.scene_finish import SceneFinish, States
 from anchorflow_trajectory.spline.basis import SplineBasis, Splines
-from anchorflow_trajectory.threads import Spread, in_one
 
 DESCENT_RATE = 0.3  # m, a first step on the control points
 # Anchors that are not safe get a further pass each: all of them once, then those of routes that
@@ -43,27 +35,19 @@ LONGER_STEPS = 150
 MOST_LONGER, MOST_BESIDE = 8, 2  # starts of a route that get it; beside other routes that are safe
 POLISH = OptimisationPass(RESTART_STEPS, RESTART_RATE, shares=HURRIED)
 TURN, MOST_REACH = 2.0**2 / 3.0, 3.0
-AIM_BEYOND = 0.1  # m beyond a certified margin that the descent aims at, so that it is kept
-
-
-States = tuple[FloatArray, FloatArray, FloatArray]
-"""Positions, velocities and accelerations, each [N, T, D]."""
 
 
 @dataclass(frozen=True)
-class Refiner:
+class Refiner(SceneFinish):
     """Finishes the anchors of one scene.
 
     steps: descent steps of the first pass if a request projects; anchors that are not safe after it
         are corrected by the barrier if the request has one, optimised further and bisected
     rate: m, of the first step
-    spread: runs ranges of anchors on threads; an anchor's bytes do not depend on it
     """
 
-    scene: Scene
     steps: int
     rate: float = DESCENT_RATE
-    spread: Spread = in_one
 
     def refine(self, states: FloatArray, route: NDArray[np.intp], spec: Refinement) -> Refined:
         """Finish sampled states [N, T, 3D + 1]: p, p', p'' in own time, and log duration.
@@ -76,14 +60,14 @@ class Refiner:
         cost = self.cost(spec)
         splines = self.fitted(states)
         field = scene.cost_fields.clearance
-        certified = spec.certified_margin if self._attainable(spec.certified_margin) else 0.0
+        certified = spec.certified_margin if self.attainable(spec.certified_margin) else 0.0
         barrier = self._barrier(field, certified) if spec.barrier else None
         share = 1.0
         if spec.project:
             cost, splines, share = self._project(cost, splines, route, certified, barrier)
         elif barrier is not None:
             safe = self.are_safe(splines, cost.basis, certified)
-            splines, _ = self._corrected(splines, safe, certified, barrier)
+            splines, _ = self.corrected(splines, safe, certified, barrier)
         is_finished = spec.project or spec.smooth or spec.barrier
         if is_finished:
             refined = self.measured(splines, cost, spec)
@@ -92,47 +76,10 @@ class Refiner:
             refined = self.measured(splines, cost, spec, found)
             is_one = is_one_motion(found, splines.duration, scene.ends, scene.motion)
             refined = replace(refined, safe=refined.safe & is_one)
-        if scene.movers is not None and share < FEW:
+        is_hard = spec.project and (share < FEW or not refined.safe.any())
+        if scene.movers is not None and is_hard:
             return best_beside(self, refined, spec, len(states))
         return refined
-
-    def measured(
-        self,
-        splines: Splines,
-        cost: TrajectoryCost,
-        spec: Refinement,
-        states: States | None = None,
-    ) -> Refined:
-        """Return anchors with their scores and verdicts; states: in place of the splines' own."""
-        scene = self.scene
-        found = cost.basis.states(splines) if states is None else states
-        position, velocity, acceleration = (np.ascontiguousarray(s, np.float32) for s in found)
-        verdict = verify(
-            (position, velocity, acceleration),
-            scene.cost_fields.clearance,
-            scene.motion,
-            certified_margin=spec.certified_margin,
-            movers=scene.cost_fields.movers,
-            duration=splines.duration,
-        )
-        scores = -cost.value(splines)
-        return Refined(
-            position,
-            velocity,
-            acceleration,
-            splines.duration,
-            scores,
-            verdict.clearance,
-            verdict.safe,
-            numbered(scene.classes(position, splines.duration), scores),
-        )
-
-    def cost(self, spec: Refinement) -> TrajectoryCost:
-        """Return the cost that the projection descends and that scores and guidance use."""
-        scene, margin = self.scene, spec.safety_margin
-        if spec.certified_margin > 0.0:
-            margin = max(margin, spec.certified_margin + AIM_BEYOND)
-        return scene.cost(margin)
 
     def fitted(self, states: FloatArray) -> Splines:
         """Return the splines nearest to states [N, T, 3D + 1]; a horizon sets their duration."""
@@ -183,34 +130,12 @@ class Refiner:
             lost = lost[:0]
             if not len(sound):
                 splines, safe = self._dodged(splines, safe, cost, certified, barrier)
-        if len(lost) and self._attainable(certified):
+        if len(lost) and self.attainable(certified):
             restart = Reinitialisation(splines, safe.copy(), route, lost)
             cost = self._reinitialise(restart, cost, certified, barrier)
             splines, safe = restart.splines, restart.safe
         moved = self.bisected(splines, safe, cost, certified, route)
         return replace(asked, basis=cost.basis), moved, float(safe.mean())
-
-    def bisected(
-        self,
-        splines: Splines,
-        safe: BoolArray,
-        cost: TrajectoryCost,
-        certified: float,
-        route: NDArray[np.intp] | None = None,
-    ) -> Splines:
-        """Move what is not safe towards what is, on its own route if one is given."""
-        return bisect_to_safe(
-            splines,
-            safe,
-            self.scene.ends,
-            cost.basis,
-            cost.fields.clearance,
-            self.scene.motion,
-            route=np.zeros(len(splines), np.intp) if route is None else route,
-            certified_margin=certified,
-            movers=cost.fields.movers,
-            spread=self.spread,
-        )
 
     def _dodged(
         self,
@@ -321,51 +246,7 @@ class Refiner:
         kept = [a == scene.routes[k].signature for a, k in zip(found, route, strict=True)]
         return np.array(kept, np.bool_)
 
-    def optimised(
-        self,
-        optimisation: OptimisationPass,
-        cost: TrajectoryCost,
-        splines: Splines,
-        certified: float,
-        barrier: ControlBarrier | None,
-    ) -> tuple[Splines, BoolArray]:
-        """Return the splines after a pass and the barrier, and which are safe."""
-        tried, safe = optimisation.run(
-            cost, splines, self.scene.ends, certified_margin=certified, spread=self.spread
-        )
-        return self._corrected(tried, safe, certified, barrier)
-
-    def _corrected(
-        self, splines: Splines, safe: BoolArray, certified: float, barrier: ControlBarrier | None
-    ) -> tuple[Splines, BoolArray]:
-        """Correct the splines that the barrier makes safe; return all, and which are safe."""
-        if barrier is None or safe.all():
-            return splines, safe
-        failed = np.flatnonzero(~safe)
-        corrected = barrier.corrected(splines[failed])
-        gained = self.are_safe(corrected, barrier.basis, certified)
-        safe[failed[gained]] = True
-        return splines.replaced(failed[gained], corrected[gained]), safe
-
-    def are_safe(self, splines: Splines, basis: SplineBasis, certified: float) -> BoolArray:
-        fields = self.scene.cost_fields
-        return are_safe(
-            splines,
-            basis,
-            fields.clearance,
-            self.scene.motion,
-            certified_margin=certified,
-            movers=fields.movers,
-        )
-
     def _barrier(self, field: GridField, certified: float) -> ControlBarrier:
         return ControlBarrier(
             self.scene.basis, field, required_clearance(field, certified) + BETWEEN
         )
-
-    def _attainable(self, certified: float) -> bool:
-        """Whether both ends keep the certified margin: if not, no anchor does."""
-        field = self.scene.cost_fields.clearance
-        ends = np.stack([self.scene.x_curr[:2], self.scene.x_goal[:2]])
-        kept = path_clearance(field, ends[:, None]) >= required_clearance(field, certified)
-        return bool(kept.all())
