@@ -99,7 +99,7 @@ class MppiController:
     def command(
         self, state: Tensor, *, sight: Sight, goal: Array, plan: Plan | None = None
     ) -> tuple[Tensor, int | None]:
-        """Anchors of equal durations are driven at MppiConfig's cruise, others at their own pace."""
+        """Anchors of equal durations are driven at the cruise, others at their own pace."""
         grid = ClearanceGrid.of(
             sight.occupied,
             resolution=sight.resolution,
