@@ -298,7 +298,7 @@ def _nothing_askable(folder: Path, sequences: list[Sequence]) -> str:
 
 
 def read_boxes(file: Path) -> Array:
-    """[n,5] x, y [m], heading [rad], length, width [m] of a label's boxes. Raises `DatasetError`."""
+    """[n,5] x, y [m], heading [rad], length, width [m] of a label's boxes, or `DatasetError`."""
     entries = read_json(file)
     if not isinstance(entries, list):
         raise DatasetError(f"{file}: expected a list of boxes, found {type(entries).__name__}")
