@@ -33,7 +33,6 @@ from anchorflow_trajectory.bodies.outline import Outline
 from anchorflow_trajectory.bodies.planner import BodyPlanner
 from anchorflow_trajectory.bodies.scene import Body, BodyScene
 from anchorflow_trajectory.bodies.wheels import Wheels
-from anchorflow_trajectory.car.course import Course
 from anchorflow_trajectory.car.foresight import Driven, Foreseen, foreseen_poses
 from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState
 from anchorflow_trajectory.compiled import code_folder
@@ -186,9 +185,7 @@ def _run_foresight() -> None:
     ways = foreseen_poses(now, np.repeat(now[:, None, None], len(PLAN_TIMES), 2))
     foreseen = Foreseen(ways, np.ones((1, 1)), half, np.array([[3.0, -3.0]]))
     start, plans = EgoState(np.zeros(3), 0.1, 0.0, 0.0), np.zeros((1, len(PLAN_TIMES), 3))
-    car, course = Car(2.0, 1.0, 0.5), Course(np.array([[-1.0, 0.0], [9.0, 0.0]]))
-    driven = Driven.of(plans, start, car, road, wheelbase=2.0, course=course, is_route=True)
-    driven.among(foreseen)
+    Driven.of(plans, start, Car(2.0, 1.0, 0.5), road, wheelbase=2.0).among(foreseen)
 
 
 @contextmanager

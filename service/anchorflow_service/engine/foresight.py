@@ -45,6 +45,7 @@ from anchorflow_trajectory.car.foresight import (
     standing_places,
 )
 from anchorflow_trajectory.car.tracking import PLAN_TIMES, EgoState, wrap_angle
+from anchorflow_trajectory.guard.faults import Raster
 from anchorflow_trajectory.guard.motion import Car
 
 WHEELBASE = 0.5968
@@ -144,20 +145,10 @@ class Foresight:
         count, most = len(states), max(len(states) // 4, 1)
         course = _course(self._answered(states, scene), own, scene, start)
         careful = [careful_drives(course, start, car, each) for each in (seen, foreseen)]
-        is_route = route_of(scene) is not None
         added = self._from_now(np.concatenate(careful), scene, states)
         states = np.concatenate([states, added])
         road = raster_of(self._entry.road, samples.context)
-        wheelbase = 2 * WHEELBASE * car.half_length
-        driven = Driven.of(
-            self._answered(states, scene),
-            start,
-            car,
-            road,
-            wheelbase=wheelbase,
-            course=course,
-            is_route=is_route,
-        )
+        driven = _driven(self._answered(states, scene), start, car, road, course)
         reference = reference_progress(driven[count : count + len(careful[0])], seen)
         worth = driven.among(foreseen).worth(reference=reference).astype(own.dtype)
         scores = own * worth[:count]
@@ -216,6 +207,11 @@ class Foresight:
             np.concatenate(modes, 1, dtype=np.float64), np.concatenate([chances, hard], 1), standing
         )
         return foreseen, told.steady(standing)
+
+
+def _driven(plans: Array, start: EgoState, car: Car, road: Raster, course: Course) -> Driven:
+    wheelbase = 2 * WHEELBASE * car.half_length
+    return Driven.of(plans, start, car, road, wheelbase=wheelbase, course=course)
 
 
 def _course(plans: Array, likely: Array, scene: ConditionedScene, start: EgoState) -> Course:

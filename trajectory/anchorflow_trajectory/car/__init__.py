@@ -3,7 +3,6 @@
 tracking    the rollout of a plan by a controller
 comfort     whether passengers find it comfortable
 course      polylines by arc length, to drive along
-progress    how far a drive moves on along a course, and whether it follows it
 following   drives along a course behind whoever is ahead
 by_rule     where others may go by rule
 foresight   what a plan is worth among others who may go several ways

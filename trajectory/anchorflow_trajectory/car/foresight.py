@@ -6,9 +6,8 @@ is a PDM score of what is driven, expected over the others' modes. Each plan is 
 controller of `tracking`. NC and TTC are the chances that the car hits nobody, and that nothing is
 touched within 0.9 s at its speed and heading, if the others choose their modes independently. DAC
 is whether the car stays on the road, C whether the drive is comfortable, and EP its progress by
-that of the longest that is likely to be allowed, or of a reference if that is shorter. A plan that
-leaves a given route makes no progress. The power was chosen on simulated logs
-(docs/goalflow-bundle.md).
+that of the longest that is likely to be allowed, or of a reference if that is shorter. The power
+was chosen on simulated logs (docs/goalflow-bundle.md).
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ import numpy as np
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.car.comfort import comfort
 from anchorflow_trajectory.car.course import Course
-from anchorflow_trajectory.car.progress import progress
 from anchorflow_trajectory.car.tracking import (
     FRAME_S,
     PLAN_TIMES,
@@ -110,14 +108,12 @@ class Expected:
 
     kept: [N] chance that nobody is hit and the road is kept; ahead: [N] chance that TTC holds
     comfortable: [N] 0 or 1; way: [N] m of progress
-    follows: [N] 0 to 1, how far the plan is on its route at its end
     """
 
     kept: FloatArray
     ahead: FloatArray
     comfortable: FloatArray
     way: FloatArray
-    follows: FloatArray
 
     @property
     def longest(self) -> float:
@@ -129,7 +125,7 @@ class Expected:
         m."""
         progress = np.minimum(self.way / max(longest, free), 1.0)
         if longest <= free:
-            progress = self.follows
+            progress = np.ones_like(progress)
         return (5 * progress + 5 * self.ahead + 2 * self.comfortable) / 12
 
     def worth(self, *, reference: float = np.inf) -> FloatArray:
@@ -145,7 +141,6 @@ class Driven:
     """N plans as they are driven.
 
     on_road: [N] how sure the road is kept; comfortable: [N] 0 or 1; way: [N] m of progress
-    follows: [N] 0 to 1, how far the plan is on its route at its end
     """
 
     motion: Motion
@@ -153,7 +148,6 @@ class Driven:
     on_road: FloatArray
     comfortable: FloatArray
     way: FloatArray
-    follows: FloatArray
 
     @classmethod
     def of(
@@ -165,38 +159,31 @@ class Driven:
         *,
         wheelbase: float,
         course: Course | None = None,
-        is_route: bool = False,
     ) -> Driven:
         """Track plans [N,8,3] at 0.5 … 4.0 s after their start.
 
         road: one layer, how sure each cell is road; wheelbase: m
         course: along which progress is measured; by default along what is driven
-        is_route: whether a plan that leaves the course makes no progress
         """
         poses = np.concatenate([np.tile(start.pose, (len(plans), 1, 1)), plans], 1)
-        follows = np.ones(len(plans))
         motion = track(interpolate(np.asarray(poses, np.float64)), start, wheelbase=wheelbase)
         if course is None:
             way = np.linalg.norm(np.diff(motion.poses[..., :2], axis=1), axis=-1).sum(1)
         else:
-            x, y, heading = np.moveaxis(motion.poses, -1, 0)
+            x, y, heading = np.moveaxis(motion.poses[:, [0, -1]], -1, 0)
             middles = [x + car.middle * np.cos(heading), y + car.middle * np.sin(heading)]
-            middles = np.stack([*middles, heading], -1)
-            if is_route:
-                way, follows = progress(course, middles)
-            else:
-                along, _ = course.project(middles[:, [0, -1], :2])
-                way = np.maximum(along[:, 1] - along[:, 0], 0.0)
-        return cls(motion, car, _on_road(motion, car, road), comfort(motion), way, follows)
+            along, _ = course.project(np.stack(middles, -1))
+            way = np.maximum(along[:, 1] - along[:, 0], 0.0)
+        return cls(motion, car, _on_road(motion, car, road), comfort(motion), way)
 
     def __getitem__(self, plans: slice) -> Driven:
-        own = self.on_road[plans], self.comfortable[plans], self.way[plans], self.follows[plans]
+        own = self.on_road[plans], self.comfortable[plans], self.way[plans]
         return Driven(self.motion[plans], self.car, *own)
 
     def among(self, foreseen: Foreseen) -> Expected:
         """Return what the plans are expected to be scored for among others."""
         clear, ahead = _chances(self.motion, self.car, foreseen)
-        return Expected(clear * self.on_road, ahead, self.comfortable, self.way, self.follows)
+        return Expected(clear * self.on_road, ahead, self.comfortable, self.way)
 
 
 def _chances(motion: Motion, car: Car, foreseen: Foreseen) -> tuple[FloatArray, FloatArray]:
