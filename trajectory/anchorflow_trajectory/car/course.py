@@ -74,8 +74,9 @@ class Course:
 
     def nearest(self, points: FloatArray) -> NDArray[np.intp]:
         """Return which of the course's points [M, 2] is nearest to each of `points` [..., 2]."""
-        x, y = (points[..., None, axis] - self.points[:, axis] for axis in (0, 1))
-        return (x * x + y * y).argmin(-1)
+        # The nearest has the largest p·q - q²/2: one product in place of all differences.
+        line = self.points - self.points[0]
+        return ((points - self.points[0]) @ line.T - 0.5 * (line * line).sum(-1)).argmax(-1)
 
     def poses(self, arc_length: Array, left: Array | float = 0.0) -> Array:
         """Poses [..., 3] at arc lengths, so far to the left; straight on beyond either end."""

@@ -39,7 +39,7 @@ def best_beside(finish: SceneFinish, refined: Refined, spec: Refinement, count: 
     if finish.scene.is_touched:
         return refined
     found = [refined] if refined.safe.any() else [*_dodging(finish, spec, count)]
-    found += islice(_in_time(finish, spec, count), 1)
+    found += islice(_in_time(finish, spec, count), 1)  # the first that is safe
     if not found:
         return _evading(finish, spec, count) or refined
     return max(found, key=lambda each: _worth(finish, each))
@@ -70,7 +70,7 @@ def _along(
     *,
     passes: int,
 ) -> Iterator[Refined]:
-    """Yield `count` anchors along ways of the nearer finish's scene, if one of them is safe.
+    """Yield `count` anchors along ways of the nearer scene, if one of them is safe.
 
     passes: how many are tried until one is; each is stiffer than the last
     """
