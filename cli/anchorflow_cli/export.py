@@ -97,6 +97,9 @@ def export(
         Path | None,
         typer.Option(help="Bundle whose choices hold where no option says otherwise."),
     ] = None,
+    float32: Annotated[
+        bool, typer.Option("--float32", help="In float32, though the bundle of --like is not.")
+    ] = False,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
     saved = load_checkpoint(checkpoint)
@@ -123,6 +126,8 @@ def export(
                 typer.echo(str(difference))
         typer.echo(f"{out}: with futures")
         return
+    if int8 and float32:
+        raise ExportError("float32: expected int8 or float32, got both")
     own_name, rounded, made = _like(like, saved)
     if "sampler" in asked or "sampler" not in made:
         asked["sampler"] = _sampler(method, schedule, student_schedule(saved))
@@ -137,7 +142,7 @@ def export(
     with _sigterm_cleans_up():
         for difference in export_bundle(adapter, description, out=out):
             typer.echo(str(difference))
-        if int8 or rounded:
+        if int8 or (rounded and not float32):
             typer.echo(str(quantize_bundle(out, like=rounded)))
     typer.echo(f"{out}: {description.name} {description.version}")
 

@@ -30,7 +30,8 @@ from uvicorn.supervisors import Multiprocess
 from anchorflow_cli.extras import needs_extra
 from anchorflow_cli.listening import is_loopback, listen, url_of
 from anchorflow_client.errors import AnchorFlowError
-from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
+from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, load_bundle
+from anchorflow_service.bundle.providers import DEVICES
 from anchorflow_service.engine import Engine, later_loops
 from anchorflow_service.http import create_app
 from anchorflow_service.http.connections import ConnectionLimits
@@ -141,7 +142,10 @@ def open_service(
     """
 
     def open_engine(folder: Path) -> Engine:
-        return Engine(load_bundle(folder), threads=choice.limits.threads, provider=choice.provider)
+        bundle = load_bundle(folder)
+        if advice := eight_bits_on_a_device(bundle, choice.provider):
+            logger.warning(advice)
+        return Engine(bundle, threads=choice.limits.threads, provider=choice.provider)
 
     folders = choice.folders
     later_loops.defer()
@@ -192,6 +196,19 @@ def print_line(line: str) -> None:
         typer.echo(line)
     except OSError as error:
         logger.warning("standard output cannot be written: %s", error.strerror)
+
+
+def eight_bits_on_a_device(bundle: Bundle, provider: str) -> str | None:
+    """Return what to do about a bundle in eight bits that is to run on a GPU, or None."""
+    if provider not in DEVICES:
+        return None
+    if all(graph.precision == "float32" for graph in bundle.manifest.graphs.values()):
+        return None
+    return (
+        f"{bundle.card.name} is in eight bits, which {provider} rounds otherwise than a CPU: its "
+        "anchors differ by up to a metre; export its checkpoint with --float32 "
+        f"--like {bundle.path} for a bundle to serve here"
+    )
 
 
 def _announce(choice: ServeChoice, listener: socket.socket, models: str) -> None:

@@ -38,6 +38,8 @@ CALIBRATION = 16  # scenes
 CELLS = {"H": 64, "W": 48}  # of the random maps
 ANCHORS = 9
 NEARLY, MOST = 3.0, 64.5  # ratio of scales that are kept; numbers of a weight, in its scale
+SUMMED = 1e-6
+"""Largest difference that the order of a sum makes, over the largest of a tensor's numbers."""
 ROUNDED = {"encode": ("Conv", 0), "field": ("MatMul", 1)}
 """Kind of node to quantize in each graph, and how many of them at its beginning to leave out: the
 field's first product reads states, whose numbers vary most, and rounding it moves samples ten times
@@ -50,7 +52,8 @@ def quantize_bundle(path: Path, *, like: Mapping[str, onnx.GraphProto] | None = 
     Returns the root mean square in m by which its samples moved.
 
     like: the `rounded_graphs` of a bundle from whose weights training went on: their scales are
-        kept where those of this one differ little, so that equal weights become equal graphs
+        kept where those of this one differ little, and their other numbers where those differ by
+        the rounding of sums alone, so that equal weights become equal graphs on every machine
 
     Raises `BundleError` if there is no sound bundle at that path, which stays what it is;
     `ExportError` if the bundle has no field that flows over a cost map.
@@ -98,6 +101,7 @@ def _rounded(
     if like is not None:
         kept = _kept_scales(path, folder / entry.file, like)
         _write_rounded(path, folder / entry.file, role, inputs, kept)
+        _keep_sums(folder / entry.file, like)
     digest = hashlib.sha256((folder / entry.file).read_bytes()).hexdigest()
     return entry.model_copy(update={"sha256": digest, "precision": "int8"})
 
@@ -151,6 +155,21 @@ def _kept_scales(
             for one, zero in zip(np.atleast_1d(scale), zeros, strict=True)
         ]
     return kept
+
+
+def _keep_sums(path: Path, like: onnx.GraphProto) -> None:
+    """Take from `like` the numbers that differ from those of a graph by `SUMMED` at most.
+
+    Constants that the exporter sums up depend on the machine's order of summing.
+    """
+    model, theirs = onnx.load(path), _arrays(like)
+    for tensor in model.graph.initializer:
+        own, other = numpy_helper.to_array(tensor), theirs.get(tensor.name)
+        if other is None or own.dtype != np.float32 or own.shape != other.shape or not own.size:
+            continue
+        if 0 < np.abs(own - other).max() <= SUMMED * np.abs(other).max():
+            tensor.CopyFrom(numpy_helper.from_array(other, tensor.name))
+    onnx.save(model, path)
 
 
 def _largest(weight: NDArray[Any], axis: int, scale: NDArray[Any]) -> float:

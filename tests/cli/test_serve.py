@@ -29,7 +29,9 @@ from anchorflow_cli.listening import (
     url_of,
     within_open_files,
 )
+from anchorflow_cli.serving import eight_bits_on_a_device
 from anchorflow_client.http import AnchorClient
+from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
 from anchorflow_service.bundle.providers import PROVIDERS
 from anchorflow_service.http.connections import RESERVE, ConnectionLimits
 from anchorflow_service.http.lifecycle import BACKLOG
@@ -243,3 +245,16 @@ def test_connections_fit_into_the_limit_on_open_files(
     limits = within_open_files(ConnectionLimits(max_connections=300))
     assert (limits.max_connections, limit[0]) == (connections, raised)
     assert ("--max-connections is 20 in place of 300" in caplog.text) == (connections == 20)
+
+
+@pytest.mark.parametrize(
+    ("name", "provider", "advised"),
+    [("default", "cuda", True), ("default", "cpu", False), ("goalflow", "cuda", False)],
+)
+def test_a_bundle_in_eight_bits_on_a_gpu_is_told_to_be_exported_whole(
+    name: str, provider: str, advised: bool
+) -> None:
+    folder = DEFAULT_BUNDLE.parent / name
+    advice = eight_bits_on_a_device(load_bundle(folder), provider)
+    assert (advice is not None) == advised
+    assert not advised or f"with --float32 --like {folder}" in str(advice)

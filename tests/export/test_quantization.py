@@ -20,6 +20,8 @@ from anchorflow_service.bundle import DEFAULT_BUNDLE, Bundle, BundleError, load_
 from anchorflow_service.bundle.graphs import OnnxGraphs
 from anchorflow_service.engine.samplers.ode import OdeSampler
 
+FLOAT = onnx.TensorProto.FLOAT
+
 
 @pytest.fixture
 def bundle(tmp_path: Path) -> Path:
@@ -71,6 +73,27 @@ def test_scales_of_a_bundle_like_it_are_kept_where_they_nearly_fit(
     got = {each.name: numpy_helper.to_array(each) for each in found if each.name in wanted}
     for name, kept in ((activations[0], 1.5), (activations[1], 1.0), (weight, 1.2)):
         np.testing.assert_allclose(got[name], given[name] * kept, rtol=1e-6)
+
+
+def test_sums_of_another_machine_are_kept_and_other_numbers_are_not(
+    bundle: Path, tmp_path: Path
+) -> None:
+    """Equal weights become equal graphs wherever they are exported."""
+    whole = shutil.copytree(bundle, tmp_path / "whole")
+    quantize_bundle(bundle)
+    graphs = rounded_graphs(load_bundle(bundle))
+    floats = [each for each in graphs["encode"].initializer if each.data_type == FLOAT]
+    summed, learnt = sorted(floats, key=lambda each: -np.prod(each.dims, initial=1))[:2]
+    for tensor, factor in ((summed, 1 + 4e-7), (learnt, 1 + 1e-4)):
+        values = numpy_helper.to_array(tensor) * np.float32(factor)
+        tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
+
+    quantize_bundle(whole, like=graphs)
+
+    found = {e.name: e for e in rounded_graphs(load_bundle(whole))["encode"].initializer}
+    got, other = (numpy_helper.to_array(found[each.name]) for each in (summed, learnt))
+    np.testing.assert_array_equal(got, numpy_helper.to_array(summed))
+    assert not np.array_equal(other, numpy_helper.to_array(learnt))
 
 
 def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(bundle: Path) -> None:

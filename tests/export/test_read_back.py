@@ -4,26 +4,32 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from command_line import failure, succeed
-from exported_bundles import export_once
+from exported_bundles import export_as_traced, export_once
 from small_v2x import small_sizes
 
-from anchorflow_client.contract import SamplerChoice
+from anchorflow_client.contract import SamplerChoice, resolve_for_card
 from anchorflow_export.adapter import ExportChoices
-from anchorflow_export.planners import choices_of
-from anchorflow_export.quantization import quantize_bundle
+from anchorflow_export.parity import graph_differences
+from anchorflow_export.planners import adapter_of, choices_of
+from anchorflow_export.quantization import quantize_bundle, rounded_graphs
 from anchorflow_export.read_back import read_weights
 from anchorflow_models.registry import planner_named
+from anchorflow_models.torch_graphs import TorchGraphs
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
-from anchorflow_training.checkpoint import load_checkpoint, weights_before
+from anchorflow_service.engine import Engine
+from anchorflow_training.checkpoint import load_checkpoint, restore_model, weights_before
 from anchorflow_training.config import TrainerConfig
 
-CHECKPOINT = Path(__file__).parents[2] / "checkpoints" / "goalflow.pt"
+CHECKPOINTS = Path(__file__).parents[2] / "checkpoints"
+CHECKPOINT = CHECKPOINTS / "goalflow.pt"
+SHIPPED = DEFAULT_BUNDLE.parent
 # By planner: parts that only training uses, and those that are read to within a rounding.
 CASES = {
     "wote": (
@@ -53,7 +59,7 @@ def test_every_weight_of_a_graph_is_read(planner: str) -> None:
 
 
 def test_a_bundle_says_how_it_was_exported(tmp_path: Path) -> None:
-    student, goalflow = (load_bundle(DEFAULT_BUNDLE.parent / n) for n in ("student", "goalflow"))
+    student, goalflow = (load_bundle(SHIPPED / n) for n in ("student", "goalflow"))
     assert choices_of(student) == {
         "sampler": SamplerChoice("euler", (0.0, 1.0)),
         "noise_scale": 1.0,
@@ -69,8 +75,36 @@ def test_a_bundle_says_how_it_was_exported(tmp_path: Path) -> None:
     assert "expected a bundle of goalflow, got one of flowmp" in said
 
 
-def test_a_checkpoint_of_a_bundle_in_eight_bits(tmp_path: Path) -> None:
-    """It begins a run, and its weights are those of the network but for the rounding."""
+@pytest.mark.parametrize("name", ["default", "student"])
+def test_a_checkpoint_has_the_weights_of_the_bundle_in_eight_bits(name: str) -> None:
+    saved, bundle = load_checkpoint(CHECKPOINTS / f"{name}.pt"), load_bundle(SHIPPED / name)
+    assert saved.config == bundle.manifest.training["config"]
+    assert saved.step == bundle.manifest.training["steps"]
+    choices = ExportChoices(**choices_of(bundle))
+    adapter = adapter_of("flowmp", restore_model(saved), choices)
+    whole = [each for each in graph_differences(adapter, bundle) if each.what.startswith("modul")]
+    assert whole
+    assert max(each.error for each in whole) < 1e-5
+    request = resolve_for_card(
+        replace(adapter.request(bundle.card, {**adapter.sample_sizes, "B": 4}, 0), seed=0),
+        bundle.card,
+    )
+    engines = (
+        Engine(bundle, threads=1),
+        Engine(bundle, threads=1, graphs=TorchGraphs(adapter.roles)),
+    )
+    rounded, exact = (
+        np.stack([each.states[..., :2] for each in engine.samples(request)]) for engine in engines
+    )
+    apart = np.sqrt(((rounded - exact) ** 2).sum(-1).mean())
+    assert 0.001 < apart < 0.05  # m, of which rounding is
+
+
+def test_a_checkpoint_of_a_bundle_in_eight_bits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It begins a run, its weights are the network's but for the rounding, and a bundle like the
+    rounded one may be in float32."""
     made, rounded, file = export_once("flowmp"), tmp_path / "rounded", tmp_path / "made.pt"
     shutil.copytree(made.path, rounded)
     assert "training.config.model" in failure("checkpoint", rounded, "--out", file)
@@ -84,3 +118,10 @@ def test_a_checkpoint_of_a_bundle_in_eight_bits(tmp_path: Path) -> None:
     for name, wanted in made.network.state_dict().items():
         apart = (got[name] - wanted).abs().max() / wanted.abs().max().clamp(min=1e-3)
         assert apart < 0.02, name
+    like = ("--like", str(rounded), "--float32")
+    assert "expected int8 or float32, got both" in failure(
+        "export", file, *like, "--int8", "--out", tmp_path / "both"
+    )
+    whole = export_as_traced(made, file, tmp_path / "whole", *like, monkeypatch=monkeypatch)
+    assert rounded_graphs(load_bundle(rounded)).keys() == {"encode", "field"}
+    assert not rounded_graphs(load_bundle(whole))

@@ -345,6 +345,13 @@ WALKTHROUGH = (
         (training, runs),
     ),
     Session(
+        "a bundle for a GPU",
+        (
+            f"anchorflow export checkpoints/default.pt --like {SHIPPED}/default --float32"
+            " --out bundles/whole",
+        ),
+    ),
+    Session(
         "a student",
         (
             "anchorflow export runs/student/checkpoint.pt --out bundles/student"
