@@ -73,6 +73,9 @@ LAYOUT: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "route_offsets": ("int32", ("W+1",)),
 }
 
+TOKENS = "frame_token"
+"""A field that only logs of recordings with tokens have."""
+
 
 @dataclass(frozen=True, eq=False)
 class DrivingLog:
@@ -108,6 +111,7 @@ class DrivingLog:
     window_speed_limit: NDArray[np.float32]  # [W] m/s, NaN where unknown
     route_points: NDArray[np.float32]  # a centreline a window
     route_offsets: NDArray[np.int32]
+    frame_token: NDArray[np.str_] | None = None  # [F] the recording's, "" between its frames
     sensors: RecordedSensors | None = None  # of track 0, the only ego then
     path: str = "a log in memory"
     """The file that it was read from, for messages."""
@@ -122,6 +126,11 @@ class DrivingLog:
                 self._check_offsets(field)
         self._check_values()
         self._check_windows()
+        if self.frame_token is not None:
+            kind, shape = self.frame_token.dtype.kind, self.frame_token.shape
+            if kind != "U" or shape != (self.frames,):
+                found = f"{self.frame_token.dtype} {[*shape]}"
+                raise self.refuse(TOKENS, f"texts [{self.frames}]", found)
         if self.sensors is not None:
             self.sensors.check(self.path, self.frames)
             if self.window_ego.any():
@@ -269,6 +278,8 @@ def write_log(log: DrivingLog, path: Path | str) -> None:
         field.name: getattr(log, field.name) for field in fields(log) if field.name in LAYOUT
     }
     arrays["dt"] = np.float32(log.dt)
+    if log.frame_token is not None:
+        arrays[TOKENS] = log.frame_token
     arrays |= {} if log.sensors is None else log.sensors.arrays()
     with place_to_write(path), Path(path).open("wb") as file:
         np.savez_compressed(file, **arrays)
@@ -288,7 +299,7 @@ def read_logs(folder: Path | str) -> list[DrivingLog]:
 
 
 def _read_arrays(path: Path | str) -> dict[str, NDArray]:
-    """Every field's array, whatever it holds."""
+    """Return every field's array, whatever it holds."""
     try:
         with Path(path).open("rb") as stream:
             file = np.load(stream, allow_pickle=False)
@@ -297,7 +308,8 @@ def _read_arrays(path: Path | str) -> dict[str, NDArray]:
             missing = [field for field in LAYOUT if field not in file.files]
             if missing:
                 raise LogError(path, missing[0], expected="the field", found="none")
-            return {field: _array(path, field, file) for field in LAYOUT}
+            told = [*LAYOUT, *([TOKENS] if TOKENS in file.files else [])]
+            return {field: _array(path, field, file) for field in told}
     except UNREADABLE as error:
         raise LogError(path, "file", expected="an .npz of arrays", found=str(error)) from error
 
@@ -306,7 +318,8 @@ def _array(path: Path | str, field: str, file: Mapping[str, NDArray]) -> NDArray
     try:
         array = file[field]
     except ValueError as error:  # an array of objects, which only a pickle could hold
-        raise LogError(path, field, expected=LAYOUT[field][0], found=str(error)) from error
+        expected = LAYOUT.get(field, ("str",))[0]
+        raise LogError(path, field, expected=expected, found=str(error)) from error
     if not isinstance(array, np.ndarray):  # numpy gives the bytes of what is no array
         raise LogError(path, field, expected="an array", found="other bytes")
     return array

@@ -39,6 +39,19 @@ def test_a_log_is_read_as_it_was_written(street: Street, tmp_path: Path) -> None
         )
 
 
+def test_tokens_of_frames_are_kept_if_there_are_any(street: Street, tmp_path: Path) -> None:
+    tokens = np.array(["", *map(str, range(1, street().frames))])
+    write_log(street(frame_token=tokens), tmp_path / "told.npz")
+    write_log(street(), tmp_path / "street.npz")
+    kept = read_log(tmp_path / "told.npz").frame_token
+    assert kept is not None
+    assert kept.tolist() == tokens.tolist()
+    assert read_log(tmp_path / "street.npz").frame_token is None
+    for wrong in (tokens[1:], np.arange(len(tokens))):
+        with pytest.raises(LogError, match=r"frame_token: expected texts \[80\], found"):
+            street(frame_token=wrong)
+
+
 def test_polylines_are_told_apart(street: Street) -> None:
     log = street()
 

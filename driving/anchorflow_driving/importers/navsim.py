@@ -103,6 +103,7 @@ def import_navsim(
         path=path,
         origin=ego.poses[0, :2],
         sensors=None if sensors is None else _sensor_files(frames, time, axle, sensors, rectified),
+        tokens=dict(zip(time.tolist(), (frame["token"].text for frame in frames), strict=True)),
     )
     return log, counts + windows
 

@@ -89,6 +89,7 @@ def import_nuscenes(
         path=path,
         origin=ego.poses[0, :2],
         sensors=None if sensors is None else _sensor_files(tables, samples, sensors, rectified),
+        tokens={(time - min(samples.values())) / 1e6: token for token, time in samples.items()},
     )
     return log, counts + windows
 

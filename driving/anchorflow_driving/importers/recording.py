@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -48,11 +48,13 @@ def recorded_log(
     city: str = "",
     origin: Array | None = None,
     sensors: SensorFiles | None = None,
+    tokens: Mapping[float, str] | None = None,
 ) -> tuple[DrivingLog, Counter[str]]:
     """The log at 10 Hz, with every window whose recorded future is good, and what was counted.
 
     origin: [2] what becomes (0, 0); far from it, float32 is too coarse
     sensors: of track 0, which is the only ego then, where its files are near
+    tokens: of the recording's frames, by their times in s
 
     Raises `LogError` if a file of sensors that a window needs is missing.
     """
@@ -68,6 +70,7 @@ def recorded_log(
         **_track_fields(tracks, now, origin),
         **road.fields(origin=origin),
         **NO_WINDOWS,
+        frame_token=None if tokens is None else _frame_tokens(tokens, len(now)),
         sensors=sensed,
         path=str(path),
     )
@@ -85,6 +88,12 @@ def recorded_log(
         counts["frames with sensors"] = int(sensed.complete.sum())
         sensed.check_files(log.window_frame.tolist())
     return log, counts + chosen
+
+
+def _frame_tokens(tokens: Mapping[float, str], frames: int) -> NDArray[np.str_]:
+    """Return the token of the recorded frame at each frame [F], "" where there is none."""
+    nearest = {round(time / FRAME_S): token for time, token in tokens.items()}
+    return np.array([nearest.get(frame, "") for frame in range(frames)])
 
 
 def frame_times(seconds: float) -> Array:

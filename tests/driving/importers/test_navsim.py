@@ -35,6 +35,10 @@ def test_tracks_are_those_of_the_boxes_middles(file: Path) -> None:
     np.testing.assert_allclose(np.diff(walker[:, 2]), 0.02, atol=1e-5)
     assert counts["dropped: track seen once"] == 1
     assert counts["dropped: layer carpark_areas, which the map lacks"] == 1
+    assert log.frame_token is not None
+    told = [frame["token"] for frame in recording()["frames"]]
+    assert log.frame_token[::5].tolist() == told  # of 2 Hz
+    assert set(np.delete(log.frame_token, np.s_[::5])) == {""}
 
 
 @pytest.mark.parametrize("system", [4326, ZONE])

@@ -26,6 +26,10 @@ def test_tracks_are_those_of_the_boxes_middles(tmp_path: Path) -> None:
     # 0.1 rad a keyframe, the short way through pi.
     np.testing.assert_allclose(np.diff(walker[:, 2]), 0.02, atol=1e-5)
     assert counts["dropped: track seen once"] == 1
+    assert log.frame_token is not None
+    told = [row["token"] for row in recording()["tables"]["sample"]]
+    assert log.frame_token[::5].tolist() == told  # of 2 Hz
+    assert set(np.delete(log.frame_token, np.s_[::5])) == {""}
 
 
 def test_its_map_is_what_lies_near(tmp_path: Path) -> None:

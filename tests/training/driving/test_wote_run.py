@@ -147,6 +147,34 @@ def test_rewards_are_read_from_a_folder_of_tables(logs: list[Path], tmp_path: Pa
         WoteRun(moved, logs, tmp_path / "moved")
 
 
+def test_rewards_are_read_by_the_tokens_of_frames(logs: list[Path], tmp_path: Path) -> None:
+    """As the authors' tables have them, which know nothing of windows and their order."""
+    told, rng, file = [], np.random.default_rng(0), tmp_path / "rewards.npz"
+    for path in logs:
+        log = read_log(path)
+        tokens = np.array([f"{path.stem} {frame}" for frame in range(log.frames)])
+        write_log(replace(log, frame_token=tokens), tmp_path / path.name)
+        told += tokens[log.window_frame].tolist()
+    shape = (MODEL.anchors, 5)
+    table: dict[str, Any] = {token: rng.random(shape, np.float32) for token in sorted(told)[::-1]}
+    np.savez(file, **table)
+    plain = replace(CONFIG, rewards=str(file), batch=replace(CONFIG.batch, mirror=False))
+    own = [tmp_path / path.name for path in logs]
+    run = WoteRun(plain, own, tmp_path / "run")
+    np.testing.assert_array_equal(run.pdm, [table[token] for token in told])
+    with pytest.raises(ConfigError, match=r"rewards: .* an array 'bend-0 20\.mirrored', got none"):
+        _ = run.mirrored_pdm
+    for wrong, said in ((table[told[0]][:-1], r"got \[\d+, 5\]"), (2 + table[told[0]], "got 2")):
+        np.savez(file, **{**table, told[0]: wrong})
+        with pytest.raises(ConfigError, match=rf"{told[0]}: expected \[\d+, 5\] of 0 to 1, {said}"):
+            _ = WoteRun(plain, own, tmp_path / "wrong").pdm
+    with pytest.raises(ConfigError, match=r"logs with tokens of their frames, .*, got .* without"):
+        _ = WoteRun(plain, logs, tmp_path / "untold").pdm
+    file.write_bytes(b"no table")
+    with pytest.raises(ConfigError, match=rf"rewards: {file}: "):
+        _ = WoteRun(plain, own, tmp_path / "damaged").pdm
+
+
 def test_half_of_the_batches_are_reflected(logs: list[Path], tmp_path: Path) -> None:
     def futures(*, mirror: bool) -> list[NDArray[np.float32]]:
         config = replace(CONFIG, batch=MirroredBatchConfig(scenes=2, mirror=mirror))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from anchorflow_driving.errors import UNREADABLE
-from anchorflow_driving.log import read_log
+from anchorflow_driving.log import DrivingLog, read_log
 from anchorflow_driving.pdm import SUB_SCORES, PdmScorer, PdmScores
 from anchorflow_driving.window import Scenes
 from anchorflow_training.driving.labels import example
@@ -149,6 +149,45 @@ def read_scores(
             raise ConfigError(f"rewards: {file}: expected 0 to 1, got {part.min()} to {part.max()}")
         parts.append(part)
     return np.concatenate(parts)
+
+
+def read_token_scores(
+    file: Path, logs: Sequence[Path], anchors: int, *, suffix: str = ""
+) -> Floats:
+    """Sub-scores [W, K, 5] of an .npz: an array [K, 5] for each window, by the token of its frame.
+
+    Raises `ConfigError` if the file is unreadable, a log has no tokens, an array is missing, of
+    another shape, or not from 0 to 1.
+    """
+    try:
+        with np.load(file, allow_pickle=False) as table:
+            return np.array(
+                [
+                    _of_token(table, f"{token}{suffix}", anchors, file)
+                    for log in logs
+                    for token in _window_tokens(read_log(log))
+                ],
+                np.float32,
+            ).reshape(-1, anchors, len(SUB_SCORES))
+    except UNREADABLE as error:
+        raise ConfigError(f"rewards: {file}: {error}") from error
+
+
+def _window_tokens(log: DrivingLog) -> list[str]:
+    if log.frame_token is None:
+        expected = "logs with tokens of their frames, as data import-log writes them"
+        raise ConfigError(f"rewards: expected {expected}, got {log.path} without")
+    return log.frame_token[log.window_frame].tolist()
+
+
+def _of_token(table: Mapping[str, Floats], token: str, anchors: int, file: Path) -> Floats:
+    if token not in table:
+        raise ConfigError(f"rewards: {file}: expected an array {token!r}, got none")
+    part, shape = table[token], (anchors, len(SUB_SCORES))
+    if part.shape != shape or not (part >= 0).all() or not (part <= 1).all():
+        found = f"{[*part.shape]}" if part.shape != shape else f"{part.min()} to {part.max()}"
+        raise ConfigError(f"rewards: {file}: {token}: expected {[*shape]} of 0 to 1, got {found}")
+    return part
 
 
 def _scored(log: Path, *, anchors: Floats) -> Arrays:

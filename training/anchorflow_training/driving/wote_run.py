@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from anchorflow_models.sub_scores import pdm_score
 from anchorflow_models.wote import WoTE, WoteConfig
 from anchorflow_training.batches import Batch, reflection
-from anchorflow_training.driving.anchors import anchor_scores, read_scores
+from anchorflow_training.driving.anchors import anchor_scores, read_scores, read_token_scores
 from anchorflow_training.driving.driving_run import SensorRun, SensorRunConfig
 from anchorflow_training.driving.labels import CLASSES
 from anchorflow_training.driving.log_cache import PLAN_SETTINGS, check_horizon
@@ -37,8 +37,8 @@ class WoteRunConfig(SensorRunConfig):
     objective: WoteObjectiveConfig = field(default_factory=WoteObjectiveConfig)
     rewards: str | None = setting(
         None,
-        "Folder of sub-scores of the anchors, LOG.npy [w, K, 5], and LOG.mirrored.npy with "
-        "batch.mirror, instead of the PDM scorer's.",
+        "Sub-scores of the anchors instead of the PDM scorer's: a folder of LOG.npy [w, K, 5], or "
+        "an .npz of TOKEN [K, 5]; with batch.mirror also LOG.mirrored.npy or TOKEN.mirrored.",
     )
 
 
@@ -78,9 +78,11 @@ class WoteRun(SensorRun):
         anchors = self.model.anchors.cpu().numpy()
         if self.config.rewards is None:
             return anchor_scores(self.logs, (anchors * signs).astype(np.float32))
+        given = Path(self.config.rewards)
+        if given.suffix == ".npz":
+            return read_token_scores(given, self.logs, len(anchors), suffix=suffix)
         counts = np.bincount(self.windows.log, minlength=len(self.logs)).tolist()
-        folder = Path(self.config.rewards)
-        return read_scores(folder, self.logs, counts, len(anchors), suffix=suffix)
+        return read_scores(given, self.logs, counts, len(anchors), suffix=suffix)
 
     def begin(self, model: WoTE) -> None:
         """Anchors, and a backbone that has seen pictures where there is one."""
