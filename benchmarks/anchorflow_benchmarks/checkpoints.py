@@ -84,13 +84,18 @@ def trained_on(bundle: Bundle, folder: Path) -> Row:
 
 def run(*words: object) -> float:
     """Run a command and return its seconds. Raises `BenchmarkError` if it fails."""
+    return output_of(*words)[1]
+
+
+def output_of(*words: object) -> tuple[str, float]:
+    """Run a command; return what it prints, and its seconds. Raises as `run`."""
     told, started = [*map(str, words)], perf_counter()
     say(f"anchorflow {' '.join(told)}")
     program = [sys.executable, "-c", CLI, *told]
     answer = subprocess.run(program, check=False, capture_output=True, text=True)
     if answer.returncode:
         raise BenchmarkError(f"anchorflow {' '.join(told)}: {answer.stderr.strip()[-500:]}")
-    return perf_counter() - started
+    return answer.stdout, perf_counter() - started
 
 
 def _data(bundle: Bundle, folder: Path) -> Path:
@@ -98,15 +103,24 @@ def _data(bundle: Bundle, folder: Path) -> Path:
     conditioning = bundle.card.conditioning
     if bundle.manifest.planner == "flowmp":
         run("data", "make", folder, "--scenes", 4)
-    elif isinstance(conditioning, VisionLanguageSpec):
-        recording = folder.with_name("recording")
-        run("data", "crossings", recording, "--scenes", 4)
-        words = ("--image-size", conditioning.image_size)
-        run(
-            "data", "pairs", recording, folder, *words, "--tokenizer", bundle.file_path("tokenizer")
-        )
-    else:
-        run("data", "drive", "--out", folder, "--logs", 1, "--windows", 4, "--workers", 1)
+        return folder
+    if isinstance(conditioning, VisionLanguageSpec):
+        return pairs(folder, conditioning.image_size, bundle.file_path("tokenizer"))
+    return drives(folder)
+
+
+def drives(folder: Path) -> Path:
+    """Write a little simulated driving; return its folder."""
+    run("data", "drive", "--out", folder, "--logs", 1, "--windows", 4, "--workers", 1)
+    return folder
+
+
+def pairs(folder: Path, image_size: int, tokenizer: Path) -> Path:
+    """Write a few pairs of pictures; return their folder."""
+    recording = folder.with_name("recording")
+    run("data", "crossings", recording, "--scenes", 4)
+    words = ("--image-size", image_size, "--tokenizer", tokenizer)
+    run("data", "pairs", recording, folder, *words)
     return folder
 
 

@@ -29,6 +29,9 @@ BENCHMARKS = {
     "checkpoints": benchmark(
         "checkpoints:checkpoints", "Train on from bundles and export them again.", "train"
     ),
+    "published": benchmark(
+        "published:published", "Train published configurations a step and export them.", "train"
+    ),
     "closed-loop": benchmark(
         "closed_loop.contest:closed_loop", "Drive a robot past obstacles.", "robot"
     ),

@@ -226,6 +226,22 @@ def test_a_broken_recording_is_told_by_its_file(
     assert file.rpartition("/")[2] in capsys.readouterr().out.replace("\n", "")
 
 
+def test_pictures_may_be_where_the_published_archives_unpack_them(copy: Path) -> None:
+    """Beside the folder, a folder for each side."""
+    pairs = [pair for each in read_recording(copy) for pair in each.pairs.values()]
+    for side in ("vehicle-side", "infrastructure-side"):
+        (copy / side / "image").rename(copy.with_name(f"{copy.name}-{side}-image"))
+    found = [pair for each in read_recording(copy) for pair in each.pairs.values()]
+    assert verify_recording(copy).faults == ()
+    assert [each.name for each in found] == [each.name for each in pairs]
+    for one, other in zip(found, pairs, strict=True):
+        assert one.vehicle_image.name == other.vehicle_image.name
+        assert one.vehicle_image.parent == copy.with_name("copy-vehicle-side-image")
+    found[3].infrastructure_image.unlink()
+    (fault,) = verify_recording(copy).faults
+    assert f"{copy}/infrastructure-side/image/{found[3].infrastructure_image.name}: " in fault
+
+
 def test_too_short_sequences_are_a_fault(tmp_path: Path) -> None:
     write_recording(tmp_path, [("5", circle(46, slice(None)))])
     (fault,) = verify_recording(tmp_path).faults

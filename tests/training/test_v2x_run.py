@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -124,6 +125,17 @@ def test_held_out_pairs_are_judged_evenly_spread(
         row, _ = run.evaluate(run.model)
         plans, loss = run.plans(run.model, judged)
         assert row == {**judge(pairs, judged, plans), "loss": loss}
+
+
+def test_several_loaders_read_the_same_batches(run_with: Callable[..., V2XRun]) -> None:
+    alone, together = (run_with(loaders=count) for count in (1, 3))
+    for one, other in zip(alone.stream(range(7)), together.stream(range(7)), strict=True):
+        for name, array in one.items():
+            np.testing.assert_array_equal(other[name], array)
+    with pytest.MonkeyPatch.context() as patched:
+        three = Barrier(3, timeout=20)  # which no two threads pass
+        patched.setattr(together, "batch", lambda index: {"n": np.array([three.wait(), index])})
+        assert [int(each["n"][1]) for each in together.stream(range(6))] == [*range(6)]
 
 
 def test_it_learns_what_it_is_shown(run_with: Callable[..., V2XRun]) -> None:

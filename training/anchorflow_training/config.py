@@ -93,6 +93,7 @@ class RunConfig:
     accelerator: Literal["auto", "cpu", "cuda"] = setting("auto", "Where to train.")
     devices: int = setting(1, "GPUs, or processes on a CPU; each draws its own batches.", ge=1)
     threads: int = setting(0, "CPU threads a process; 0: as torch chooses.", ge=0)
+    loaders: int = setting(1, "Threads that prepare batches ahead.", ge=1)
     before: str | None = setting(
         None, "Checkpoint of an earlier run of the same network, to begin with its weights."
     )

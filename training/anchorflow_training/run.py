@@ -79,13 +79,10 @@ class TrainingRun(ABC):
 
     curve: a row a report, the means of the loss and its terms since the last one
     evaluations: a row an evaluation, if scenes are held out
-    loaders: threads that prepare batches ahead
 
     Raises `ConfigError` if the configuration does not fit the dataset, the machine or the run
     `before`; `CheckpointError` if the folder's checkpoint is of another model, teacher or dataset.
     """
-
-    loaders = 1
 
     def __init__(self, config: RunConfig, out: Path) -> None:
         if (rate := config.learning_rate) > MAX_RATE:
@@ -160,7 +157,7 @@ class TrainingRun(ABC):
 
     def stream(self, indices: Iterable[int]) -> Generator[Batch]:
         """Return the batches of these numbers, prepared ahead."""
-        return prefetched(self.batch, indices, threads=self.loaders)
+        return prefetched(self.batch, indices, threads=self.run_config.loaders)
 
     @property
     @abstractmethod

@@ -110,7 +110,6 @@ class SightRunConfig(RunConfig):
     )
     frozen_perception: bool = setting(False, "Keep these parts as they begin: they do not learn.")
     sensor_noise: float = setting(0.0, "On pictures and sweeps; 1 is strong, 0 is none.", ge=0)
-    loaders: int = setting(1, "Threads that prepare batches ahead.", ge=1)
 
     @property
     def sight(self) -> TransfuserConfig | None:
@@ -137,10 +136,6 @@ class SensorRunConfig(SightRunConfig):
 
 class SightRun(DrivingRun):
     """A run of a planner with parts that see, if it has them; its config is a `SightRunConfig`."""
-
-    def __init__(self, config: Any, windows: Any, out: Path, *, of: str) -> None:
-        self.loaders = config.loaders
-        super().__init__(config, windows, out, of=of)
 
     def _new_model(self) -> Any:
         model = super()._new_model()

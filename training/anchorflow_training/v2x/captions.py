@@ -17,7 +17,7 @@ from anchorflow_training.atomic_write import writing
 from anchorflow_training.dataset import DatasetError
 from anchorflow_training.v2x.florence import load_florence
 from anchorflow_training.v2x.recording import read_picture, read_recording
-from anchorflow_training.v2x.text import opened, picture_name, read_descriptions, read_tokenizer
+from anchorflow_training.v2x.text import opened, read_descriptions, read_tokenizer
 
 DETAILED_CAPTION = "Describe in detail what is shown in the image."
 """The prompt that Florence-2 was trained on for its task <DETAILED_CAPTION>."""
@@ -84,22 +84,22 @@ def describe_recording(
 
     Raises `DatasetError`.
     """
-    pictures = [
-        sequence.pairs[frame].vehicle_image
+    pairs = [
+        sequence.pairs[frame]
         for sequence in read_recording(recording)
         for frame in sequence.askable()
     ]
     known = read_descriptions(file) if file.exists() else {}
-    left = [each for each in pictures if picture_name(recording, each) not in known]
-    done = len(pictures) - len(left)
+    left = [each for each in pairs if each.name not in known]
+    done = len(pairs) - len(left)
     for begin in range(0, len(left), BATCH):
         part = left[begin : begin + BATCH]
-        texts = captioner.describe([read_picture(each) for each in part])
+        texts = captioner.describe([read_picture(each.vehicle_image) for each in part])
         rows = [
-            json.dumps({"picture": picture_name(recording, each), "description": text}) + "\n"
+            json.dumps({"picture": each.name, "description": text}) + "\n"
             for each, text in zip(part, texts, strict=True)
         ]
         with writing(file, DatasetError), file.open("a") as lines:
             lines.writelines(rows)
-        progress(done + begin + len(part), len(pictures))
-    return len(pictures)
+        progress(done + begin + len(part), len(pairs))
+    return len(pairs)

@@ -44,7 +44,6 @@ from anchorflow_training.v2x.text import (
     FILE_NAME,
     UNTOLD,
     opened,
-    picture_name,
     prompt,
     read_descriptions,
     seen_scene,
@@ -150,7 +149,7 @@ def make_pairs(
     if out.exists() and any(out.iterdir()):
         raise DatasetError(f"{out}: expected a new or an empty folder, found files")
     sequences = read_recording(recording)
-    scene_of = _scenes(recording, describe=describe, descriptions=descriptions)
+    scene_of = _scenes(describe=describe, descriptions=descriptions)
     asked = [(number, frame) for number, each in enumerate(sequences) for frame in each.askable()]
     present = [sequences[number].name for number in sorted({number for number, _ in asked})]
     if len({_group(name) for name in present}) < 2:
@@ -260,19 +259,17 @@ def _prompt(sequence: Sequence, frame: int, scene_of: Callable[[Sequence, int], 
     return prompt(speed=speed, turn_rate=turn_rate, scene=scene_of(sequence, frame))
 
 
-def _scenes(
-    recording: Path, *, describe: bool, descriptions: Path | None
-) -> Callable[[Sequence, int], str]:
+def _scenes(*, describe: bool, descriptions: Path | None) -> Callable[[Sequence, int], str]:
     """What a prompt says of the scene of a frame: a picture's description, the boxes, or ''."""
     texts = {} if descriptions is None else read_descriptions(descriptions)
 
     def scene(sequence: Sequence, frame: int) -> str:
         pair, pose, parts = sequence.pairs[frame], sequence.poses[frame], []
         if descriptions is not None:
-            name = picture_name(recording, pair.vehicle_image)
-            if name not in texts:
-                raise DatasetError(f"{descriptions}: expected a description of {name}, found none")
-            parts.append(texts[name])
+            if pair.name not in texts:
+                expected = f"a description of {pair.name}"
+                raise DatasetError(f"{descriptions}: expected {expected}, found none")
+            parts.append(texts[pair.name])
         if describe:
             parts.append(seen_scene(without_own(read_boxes(pair.label), pose), pose))
         return " ".join(parts)

@@ -7,6 +7,8 @@
                                             calib_novatel_to_world_path, from vehicle-side/
     vehicle-side/calib/novatel_to_world/    poses: rotation 3x3, translation 3x1
     vehicle-side/image/, infrastructure-side/image/
+                                            or the published archives of pictures, unpacked beside
+                                            the folder: FOLDER-vehicle-side-image/, ...
 
 Sequences are the frames of one `batch_id` in the order of their times. A frame can be asked about
 where the 45 frames after it exist, 0.1 s apart: the waypoints are frames 1 to 45 after it. (Taking
@@ -69,8 +71,12 @@ OWN = 1.5
 
 @dataclass(frozen=True)
 class Pair:
-    """What both sides saw at a frame: pictures and boxes, as files."""
+    """What both sides saw at a frame: pictures and boxes, as files.
 
+    name: of the vehicle's picture, as the recording lists it
+    """
+
+    name: str
     vehicle_image: Path
     infrastructure_image: Path
     label: Path
@@ -190,8 +196,16 @@ def _pairs(folder: Path, frames: Mapping[str, Any], report: Fault) -> dict[str, 
             if vehicle not in frames:
                 known = f"a picture that {folder / VEHICLE / INFO} lists"
                 raise DatasetError(f"{file}: entry {number}: expected {known}, found {vehicle}")
-            pairs[vehicle] = Pair(folder / vehicle, folder / infrastructure, folder / label)
+            seen, shown = (_picture(folder, each) for each in (vehicle, infrastructure))
+            pairs[vehicle] = Pair(vehicle, seen, shown, folder / label)
     return pairs
+
+
+def _picture(folder: Path, listed: str) -> Path:
+    """Return the file of a picture, in the folder or where its side's archive was unpacked."""
+    side, _, name = listed.partition("/image/")
+    file, unpacked = folder / listed, folder.parent / f"{folder.name}-{side}-image" / name
+    return unpacked if unpacked.exists() and not file.exists() else file
 
 
 def _listed(file: Path, report: Fault) -> list[dict[str, Any]]:

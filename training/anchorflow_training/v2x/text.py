@@ -53,11 +53,6 @@ SPECIAL = ("<s>", "<pad>", "</s>", "<unk>")
 FILE_NAME = "tokenizer.json"
 
 
-def picture_name(recording: Path, picture: Path) -> str:
-    """Name a picture by its place in the recording, as files of descriptions do."""
-    return picture.relative_to(recording).as_posix()
-
-
 def read_descriptions(file: Path) -> dict[str, str]:
     """Texts by the names of pictures, of a file of `anchorflow data descriptions`.
 
