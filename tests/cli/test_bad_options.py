@@ -15,6 +15,7 @@ from ros_maps import write_map
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 
 V2X = DEFAULT_BUNDLE.parent / "v2x"
+GOALFLOW = Path(__file__).parents[2] / "checkpoints" / "goalflow.pt"
 
 
 FILE_WANTED, FOLDER_WANTED = "expected a file to write, got", "expected a folder to write, got"
@@ -128,6 +129,7 @@ def test_an_end_beyond_the_contract(command: str, option: str, value: str, inter
         ),
         ("plan --map m.yaml --start 1;2 --goal 1,1", "2 or 3 numbers X,Y[,HEADING], got '1;2'"),
         (f"bench pairs {DEFAULT_BUNDLE}", "expected a bundle asked with pictures, got cost_map"),
+        (f"bench pairs {GOALFLOW}", "expected a v2x_vlm, got one of goalflow"),
         (f"bench pairs {V2X} {V2X}", "expected bundles of different names, got v2x"),
         ("data anchors DIR --out a.npy", "expected logs (*.npz)"),
         ("bench drive --logs DIR --out x", ": folder: expected logs (*.npz), found none"),

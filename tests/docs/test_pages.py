@@ -54,6 +54,22 @@ def test_the_programs_of_a_page_run(name: str, url_of_both: str) -> None:
             assert printed.getvalue() == program.prints, program.place
 
 
+def test_an_obstacle_function_of_ones_own_keeps_anchors_away(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(DOCS.parent)
+    (program,) = programs_of(DOCS / "training.md")
+    nearest = []
+    for scale in ("20.0", "0.0"):
+        seen: dict[str, Any] = {}
+        text = program.text.replace("scale=20.0", f"scale={scale}")
+        exec(compile(text, program.place, "exec"), seen)
+        apart = (seen["anchors"].trajectories[..., :2] - seen["DOG"]).norm(dim=-1)
+        nearest.append(float(apart.amin(-1).mean()))
+        assert seen["anchors"].safe.all()
+    assert nearest == pytest.approx([1.26, 0.30], abs=0.1)
+
+
 class Arrived(Exception):
     """The robot has reached its goal."""
 

@@ -24,7 +24,12 @@ from served import TRANSPORTS, client_over
 from small_v2x import IMAGE_SIZE, PROMPTS, small_sizes
 from starlette.testclient import TestClient
 
-from anchorflow_benchmarks.driving.pairs import judged_crossings, pair_tables
+from anchorflow_benchmarks.driving.pairs import (
+    judged_crossings,
+    pair_tables,
+    planned,
+    planner_of_bundle,
+)
 from anchorflow_client import AnchorBatch, EncodedImage
 from anchorflow_client.contract.fields import MAX_INPUT_TEXT_LENGTH, MAX_PIXELS
 from anchorflow_client.errors import InvalidRequest
@@ -45,6 +50,7 @@ from anchorflow_training.v2x.text import opened
 
 MODEL = "small-v2x-vlm"
 SIZE = (90, 70)  # H, W of the pictures that are sent
+SQUARE = (IMAGE_SIZE, IMAGE_SIZE)
 
 
 @pytest.fixture(scope="module")
@@ -302,12 +308,24 @@ def test_a_network_without_a_tokenizer_is_not_exported(model: V2XVLM) -> None:
         model.tokenizer = tokenizer
 
 
+@pytest.mark.parametrize("without", [(), ("infrastructure_image",)])
+def test_a_checkpoint_is_judged_as_its_bundle(
+    engine: Engine, model: V2XVLM, without: tuple[str, ...]
+) -> None:
+    both = {"vehicle_image": picture(0, SQUARE), "infrastructure_image": picture(1, SQUARE)}
+    told: dict[str, Any] = {name: each for name, each in both.items() if name not in without}
+    told |= {"prompt": PROMPTS[3]}
+    served = planner_of_bundle(LocalClient(engine))(told)
+    np.testing.assert_allclose(planned(model, told), served, atol=1e-4)
+    assert np.abs(planned(model, both | {"prompt": PROMPTS[1]}) - served).max() > 1e-3
+
+
 def test_a_bundle_is_judged_on_crossings_it_has_not_seen(engine: Engine, tmp_path: Path) -> None:
     dataset, groups = judged_crossings(tmp_path, scenes=3, image_size=IMAGE_SIZE)
     assert [group.title for group in groups] == ["All pairs", "Hidden"]
     assert 0 < len(groups[1].indices) < len(groups[0].indices) == 15
 
-    tables = pair_tables({"tiny": LocalClient(engine)}, dataset, groups)
+    tables = pair_tables({"tiny": planner_of_bundle(LocalClient(engine))}, dataset, groups)
 
     rows = {str(row["plan"]): row for row in tables[0].rows}
     assert rows["driven"]["L2 mean"] == 0

@@ -1,4 +1,4 @@
-"""Judge V2X-VLM bundles on unseen pairs of pictures: L2 and collisions beside constant velocity.
+"""Judge V2X-VLM bundles and checkpoints on unseen pairs of pictures: L2 and collisions.
 
 Drawn crossings know who is hidden from the car. Those pairs get a table of their own, because only
 the roadside picture shows who comes. Run by `anchorflow bench pairs`.
@@ -9,12 +9,14 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from time import perf_counter
 from typing import Annotated, Any
 
 import numpy as np
+import torch
 import typer
 from numpy.typing import NDArray
 
@@ -23,10 +25,12 @@ from anchorflow_benchmarks.report import ResultTable, Row, progress, record, rep
 from anchorflow_client.contract import VisionLanguageSpec
 from anchorflow_driving.cooperative.crossings import draw_crossing
 from anchorflow_driving.cooperative.layout import CooperativeFrame, write_recording
+from anchorflow_models.v2x_vlm import V2XVLM
 from anchorflow_service.local import LocalClient
+from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.v2x.dataset import PairDataset, make_pairs, open_pairs
 from anchorflow_training.v2x.evaluation import HORIZONS_S, baselines, judge
-from anchorflow_training.v2x.text import UNTOLD
+from anchorflow_training.v2x.text import UNTOLD, opened, token_rows
 
 UNSEEN_SEED = 90_000  # of the first crossing; `anchorflow data crossings` stays far below
 NOTE = (
@@ -64,30 +68,53 @@ def judged_crossings(folder: Path, *, scenes: int, image_size: int) -> tuple[Pai
     return dataset, [Group("All pairs", everything), Group("Hidden", everything[hidden])]
 
 
+Inputs = Mapping[str, Any]
+Planner = Callable[[Inputs], NDArray[np.floating]]
+"""Plans waypoints [45, 2] m."""
+
+
+def planner_of_bundle(client: LocalClient) -> Planner:
+    return lambda inputs: client.plan(inputs=inputs).trajectories[0, :, :2]
+
+
+@torch.no_grad()
+def planned(model: V2XVLM, inputs: Inputs) -> NDArray[np.floating]:
+    """Return the waypoints [45, 2] m of a network in torch."""
+    seen = model.look(torch.from_numpy(inputs["vehicle_image"])[None])
+    beside = torch.zeros_like(seen)
+    if has_roadside := "infrastructure_image" in inputs:
+        beside = model.look(torch.from_numpy(inputs["infrastructure_image"])[None])
+    tokens, _ = token_rows(
+        opened(model.tokenizer), [inputs["prompt"]], most=model.config.max_tokens
+    )
+    fused = model.fuse(seen, beside, torch.tensor([has_roadside]), torch.from_numpy(tokens))
+    return model.drive(fused)[0].numpy()
+
+
 def pair_tables(
-    clients: Mapping[str, LocalClient],
+    planners: Mapping[str, Planner],
     dataset: PairDataset,
     groups: Sequence[Group],
     *,
     progress: Callable[[int], object] = lambda _: None,
 ) -> list[ResultTable]:
-    """Return a table per group: baselines, and each bundle with all inputs, without the roadside
+    """Return a table per group: baselines, and each planner with all inputs, without the roadside
     picture, and without text.
 
-    clients: of bundles, by their names in the tables
+    planners: by their names in the tables
     """
     everything = np.unique(np.concatenate([group.indices for group in groups]))
     plans: dict[str, NDArray[np.float64]] = {**baselines(dataset, everything)}
     times: dict[str, float] = {}
     asked = [("", True, True), (" without roadside", False, True), (" without text", True, False)]
-    for name, client, roadside, text in (
-        (name + how, client, *told) for name, client in clients.items() for how, *told in asked
+    for name, plan, roadside, text in (
+        (name + how, plan, *told) for name, plan in planners.items() for how, *told in asked
     ):
         ways, spent = [], []
         for index in everything:
             inputs = _inputs(dataset, int(index), roadside=roadside, text=text)
             began = perf_counter()
-            ways.append(client.plan(inputs=inputs).trajectories[0, :, :2])
+            ways.append(plan(inputs))
             spent.append(1e3 * (perf_counter() - began))
             progress(1)
         plans[name], times[name] = np.array(ways, float), median(spent)
@@ -118,8 +145,31 @@ def _row(name: str, figures: dict[str, float], ms: float | None) -> Row:
     return {**row, "ms": ms}
 
 
+@dataclass(frozen=True)
+class Judged:
+    """A bundle, or a checkpoint in torch; name: in the tables; image_size: pixels along a side."""
+
+    name: str
+    image_size: int
+    plan: Planner
+
+
+def judged_planner(path: Path, threads: int | None) -> Judged:
+    """Open a bundle's folder or a checkpoint's file. Raises `AnchorFlowError`."""
+    if path.is_dir():
+        client = LocalClient.of(path, threads=threads)
+        return Judged(client.engine.card.name, _image_size(client), planner_of_bundle(client))
+    saved, name = load_checkpoint(path), f"{path.parent.name}/{path.name}"
+    model = restore_model(saved)
+    if not isinstance(model, V2XVLM):
+        raise typer.BadParameter(f"{path}: expected a v2x_vlm, got one of {saved.planner}")
+    return Judged(name, model.config.image_size, partial(planned, model))
+
+
 def pairs(
-    bundles: Annotated[list[Path], typer.Argument(help="Folders of V2X-VLM bundles.")],
+    bundles: Annotated[
+        list[Path], typer.Argument(help="Folders of V2X-VLM bundles, or files of checkpoints.")
+    ],
     *,
     data: Annotated[
         Path | None,
@@ -130,14 +180,17 @@ def pairs(
     recorded: options.Record = False,
     out: options.Out = options.RESULTS,
 ) -> None:
-    """Judge V2X-VLM bundles by L2 and collisions, with and without the roadside picture."""
-    asked = [LocalClient.of(bundle, threads=threads) for bundle in bundles]
-    sizes = {client.engine.card.name: _image_size(client) for client in asked}
+    """Judge V2X-VLM bundles and checkpoints by L2 and collisions, with and without the roadside
+    picture."""
+    judged = [judged_planner(path, threads) for path in bundles]
+    sizes = {each.name: each.image_size for each in judged}
     if len({*sizes.values()}) > 1:
         raise typer.BadParameter(f"expected bundles asked with pictures of one size, got {sizes}")
-    clients = {client.engine.card.name: client for client in asked}
-    if len(clients) < len(bundles):
-        raise typer.BadParameter(f"expected bundles of different names, got {', '.join(clients)}")
+    planners = {each.name: each.plan for each in judged}
+    if len(planners) < len(bundles):
+        raise typer.BadParameter(f"expected bundles of different names, got {', '.join(planners)}")
+    if recorded and not all(path.is_dir() for path in bundles):
+        raise typer.BadParameter("expected bundles alone with --record, got a checkpoint")
     with tempfile.TemporaryDirectory() as scratch:
         if data is None:
             (size,) = {*sizes.values()}
@@ -145,12 +198,12 @@ def pairs(
         else:
             dataset = open_pairs(data)
             groups = [Group("Held out", dataset.indices(held_out=True))]
-        with progress("pairs", 3 * len(clients) * len(groups[0].indices)) as advance:
-            tables = pair_tables(clients, dataset, groups, progress=advance)
-    judged = data.name if data else f"{crossings} drawn crossings"
-    report("Pairs", {"bundles": ", ".join(clients), "pairs": judged}, tables, out)
+        with progress("pairs", 3 * len(planners) * len(groups[0].indices)) as advance:
+            tables = pair_tables(planners, dataset, groups, progress=advance)
+    of = data.name if data else f"{crossings} drawn crossings"
+    report("Pairs", {"bundles": ", ".join(planners), "pairs": of}, tables, out)
     if recorded:
-        record(zip(clients, bundles, strict=True), {"pairs": judged}, tables[0])
+        record(zip(planners, bundles, strict=True), {"pairs": of}, tables[0])
 
 
 def _image_size(client: LocalClient) -> int:
