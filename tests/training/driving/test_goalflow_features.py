@@ -104,6 +104,12 @@ def test_a_command_trains_what_is_exported_and_served(
         for each in (bundle, made.path)
     )
     np.testing.assert_array_equal(served.trajectories, before.trajectories)
+    goals = np.array([[14.0, 0.0], [13.0, 1.5]], np.float32)  # within its tyres' hold in a second
+    for number in range(WINDOWS - 3, WINDOWS):  # held out
+        own = {**inputs, "bev": arrays(number)["bev"], "goal": goals}
+        drawn = LocalClient.of(bundle, threads=1).plan(inputs=own, num_samples=4, seed=0)
+        missed = drawn.trajectories[:, -1, :2] - np.resize(goals, (4, 2))
+        assert np.linalg.norm(missed, axis=-1).max() < 1.0  # m
 
 
 @pytest.mark.parametrize(
