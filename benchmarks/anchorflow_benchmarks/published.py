@@ -72,10 +72,13 @@ def published(
     chosen = names or [name for name in PUBLISHED if not name.endswith("large")]
     if unknown := [name for name in chosen if name not in PUBLISHED]:
         raise typer.BadParameter(f"expected names of {', '.join(PUBLISHED)}, got {unknown[0]}")
-    with tempfile.TemporaryDirectory() as scratch:
-        rows = [measured(name, Path(scratch, name), threads) for name in chosen]
     about = {"configurations": ", ".join(chosen), "threads of a request": str(threads)}
-    report("Published", about, [ResultTable("Published configurations", rows, NOTE)], out)
+    rows: list[Row] = []
+    for name in chosen:
+        with tempfile.TemporaryDirectory() as scratch:
+            rows.append(measured(name, Path(scratch, name), threads))
+        # Written each time: the next may take a quarter of an hour.
+        report("Published", about, [ResultTable("Published configurations", rows, NOTE)], out)
 
 
 def measured(name: str, folder: Path, threads: int) -> Row:
