@@ -25,11 +25,11 @@ from anchorflow_benchmarks.report import ResultTable, Row, progress, record, rep
 from anchorflow_client.contract import VisionLanguageSpec
 from anchorflow_driving.cooperative.crossings import draw_crossing
 from anchorflow_driving.cooperative.layout import CooperativeFrame, write_recording
-from anchorflow_models.v2x_vlm import V2XVLM
 from anchorflow_service.local import LocalClient
 from anchorflow_training.checkpoint import load_checkpoint, restore_model
 from anchorflow_training.v2x.dataset import PairDataset, make_pairs, open_pairs
 from anchorflow_training.v2x.evaluation import HORIZONS_S, baselines, judge
+from anchorflow_training.v2x.run import V2XRunConfig
 from anchorflow_training.v2x.text import UNTOLD, opened, token_rows
 
 UNSEEN_SEED = 90_000  # of the first crossing; `anchorflow data crossings` stays far below
@@ -78,8 +78,8 @@ def planner_of_bundle(client: LocalClient) -> Planner:
 
 
 @torch.no_grad()
-def planned(model: V2XVLM, inputs: Inputs) -> NDArray[np.floating]:
-    """Return the waypoints [45, 2] m of a network in torch."""
+def planned(model: Any, inputs: Inputs) -> NDArray[np.floating]:
+    """Return the waypoints [45, 2] m of a V2X-VLM in torch."""
     seen = model.look(torch.from_numpy(inputs["vehicle_image"])[None])
     beside = torch.zeros_like(seen)
     if has_roadside := "infrastructure_image" in inputs:
@@ -160,9 +160,10 @@ def judged_planner(path: Path, threads: int | None) -> Judged:
         client = LocalClient.of(path, threads=threads)
         return Judged(client.engine.card.name, _image_size(client), planner_of_bundle(client))
     saved, name = load_checkpoint(path), f"{path.parent.name}/{path.name}"
+    if saved.planner != V2XRunConfig.planner:
+        expected = f"expected a {V2XRunConfig.planner}, got one of {saved.planner}"
+        raise typer.BadParameter(f"{path}: {expected}")
     model = restore_model(saved)
-    if not isinstance(model, V2XVLM):
-        raise typer.BadParameter(f"{path}: expected a v2x_vlm, got one of {saved.planner}")
     return Judged(name, model.config.image_size, partial(planned, model))
 
 
