@@ -98,10 +98,10 @@ def measured(name: str, folder: Path, threads: int) -> Row:
     graphs = bundle.manifest.graphs
     return {
         "configuration": name,
-        "parameters, millions": sum(each.numel() for each in checkpoint.average.values()) / 1e6,
+        "weights, millions": sum(each.numel() for each in checkpoint.average.values()) / 1e6,
         "step s": trained,
         "export s": exported,
-        "parity": max(map(float, DIFFERENCE.findall(proof))),
+        "parity": f"{max(map(float, DIFFERENCE.findall(proof))):.1e}",
         "MB": sum(bundle.graph_path(role).stat().st_size for role in graphs) / 1e6,
         "request ms": 1e3 * seconds_of_a_request(bundle, checkpoint, threads),
     }
