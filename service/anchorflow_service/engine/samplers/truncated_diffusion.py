@@ -164,18 +164,22 @@ class TruncatedDiffusionSampler:
         inputs = {**context, **found, "diversity": noise.diversity[None]}
         coarse = self._graphs.run("coarse", inputs, threads=threads)
         check()
-        rough = self._along.scored(coarse[COARSE_SCORES][0], coarse[CANDIDATES][0], scene)
-        kept = self._picked(coarse, best(rough, self._entry.keep))
+        candidates = coarse[CANDIDATES][0]
+        rough = self._along.scored(coarse[COARSE_SCORES][0], candidates, scene)
+        few = self._along.kept(rough, candidates, scene, self._entry.keep)
+        kept = self._picked(coarse, few)
         given = {**context, **kept}
         given |= self._graphs.run("fine", given, threads=threads)
-        scores = self._along.scored(given[SCORES][0], given[CANDIDATES][0], scene)
+        candidates = given[CANDIDATES][0]
+        scores = self._along.hastened(given[SCORES][0], candidates, scene)
+        scores = self._along.scored(scores, candidates, scene)
         chosen = best(scores, request.num_samples)
         arrays = {**{name: given[name][0] for name in self._extras}, SCORES: scores}
         arrays = {
             name: array[chosen] if name in self._of_each or name == SCORES else array
             for name, array in arrays.items()
         }
-        return Samples(given[CANDIDATES][0][chosen], arrays=arrays)
+        return Samples(candidates[chosen], arrays=arrays)
 
     def _picked(self, coarse: Arrays, kept: NDArray[np.intp]) -> Arrays:
         """Return the coarse outputs of some candidates."""
