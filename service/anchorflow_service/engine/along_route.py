@@ -26,8 +26,8 @@ APART, DIFFERENT = 2.0, 4
 """m of two trajectories that differ, the root mean square over their poses, and one in how many of
 those that are kept differs from all better ones."""
 SHORTER, SHORT = 0.05, 5.0
-"""Score in [0, 1] that a trajectory without any way loses beside the longest, if that exceeds so
-many m."""
+"""Score in [0, 1] that a trajectory without any way loses beside the longest, or beside one of
+5 m if all are shorter."""
 
 
 class AlongRoute:
@@ -39,9 +39,7 @@ class AlongRoute:
 
     def scored(self, scores: Array, trajectories: Array, scene: ConditionedScene) -> Array:
         """Return the scores [K] of trajectories [K,T,D] along the route."""
-        if not self._reads:
-            return scores
-        route = route_of(scene)
+        route = self._route(scene)
         if route is None:
             return scores
         beside = np.maximum(beside_route(trajectories[:, -1, :2], route) - WITHIN_M, 0.0)
@@ -56,17 +54,20 @@ class AlongRoute:
         With a route the last of them are those that differ: of many variants the best are nearly
         the same, and may all be too slow.
         """
-        if not (self._reads and route_of(scene) is not None):
+        if self._route(scene) is None:
             return best(scores, count)
         return differing(scores, trajectories[..., :2], count, alike=count - count // DIFFERENT)
 
     def hastened(self, scores: Array, trajectories: Array, scene: ConditionedScene) -> Array:
         """Return scores [K] in [0, 1], with a route less SHORTER by what is missing in way."""
-        if not (self._reads and route_of(scene) is not None):
+        if self._route(scene) is None:
             return scores
         ways = np.diff(trajectories[..., :2], axis=1, prepend=0.0)
         length = np.linalg.norm(ways, axis=-1).sum(-1)
         return (scores - SHORTER * (1 - length / max(length.max(), SHORT))).astype(scores.dtype)
+
+    def _route(self, scene: ConditionedScene) -> Array | None:
+        return route_of(scene) if self._reads else None
 
 
 def differing(scores: Array, ways: Array, count: int, *, alike: int) -> NDArray[np.intp]:
