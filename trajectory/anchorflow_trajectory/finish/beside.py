@@ -70,9 +70,11 @@ def _along(
     *,
     passes: int,
 ) -> Iterator[Refined]:
-    """Yield `count` anchors along ways of the nearer scene, if one of them is safe.
+    """Yield `count` anchors along ways that are drawn, if one of them is safe.
 
-    passes: how many are tried until one is; each is stiffer than the last
+    asked: finishes the scene whose goal and cost the scores tell
+    nearer: finishes the scene in which the ways end, maybe short of that goal
+    passes: how many are tried until one is safe; each is stiffer than the last
     """
     cost, finer = nearer.cost(spec), nearer.scene.basis.finer
     if finer is not None:
