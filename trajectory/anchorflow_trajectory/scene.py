@@ -161,27 +161,35 @@ class Scene:
     @cached_property
     def routes(self) -> list[Route]:
         """The cheapest ways round the obstacles, the cheapest first; empty where none is free."""
-        margin = self.certified_margin
-        found = self._found_routes(SLACK + margin)
-        if not found and margin > 0.0:  # none can be certified: `safe` says so
-            found, margin = self._found_routes(SLACK), 0.0
-        if found and self.movers is not None and self.occupied.any():
-            found = self._roomy_routes(found, SLACK + margin) or found
-        return self._pulled_tight(found, slack=CHORD_SLACK + margin)
+        for margin in dict.fromkeys((self.certified_margin, 0.0)):
+            if found := self._routes_beyond(margin):
+                return self._pulled_tight(found, slack=CHORD_SLACK + margin)
+        return []  # none can be certified either: `safe` says so
 
-    def _roomy_routes(self, tight: list[Route], slack: float) -> list[Route]:
+    def _routes_beyond(self, margin: float) -> list[Route]:
+        """Return the routes that keep a margin, the roomy ones where something moves."""
+        slack = SLACK + margin
+        is_among = self.movers is not None and bool(self.occupied.any())
+        roomy = self._roomy_routes(slack) if is_among else []
+        return roomy or self._found_routes(slack)
+
+    def _roomy_routes(self, slack: float) -> list[Route]:
         """Return routes that keep a cell more than tight ones, if they are hardly longer.
 
         A gap that is open by less may be closed on the next map, a fraction of a cell further on,
         and who has to turn round among what moves is late.
         """
         roomy = self._found_routes(slack + max(self.resolution, clearance.FINE))
-        most, horizon = DETOUR * tight[0].length, self.motion.horizon_s
+        most, horizon, dim = np.inf, self.motion.horizon_s, len(self.x_goal) // 2
         if horizon is not None:
-            dim = len(self.x_goal) // 2
             speeds = (np.linalg.norm(x[dim : dim + 2]) for x in (self.x_curr, self.x_goal))
-            most = min(most, self.motion.most_way(horizon, *map(float, speeds)))
-        return [route for route in roomy if route.length <= most]
+            most = self.motion.most_way(horizon, *map(float, speeds))
+        roomy = [route for route in roomy if route.length <= most]
+        straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
+        if all(route.length <= DETOUR * straight for route in roomy):
+            return roomy  # without a look for the tight ones, which are no shorter
+        tight = self._found_routes(slack)[0].length
+        return [route for route in roomy if route.length <= DETOUR * tight]
 
     def routes_with(self, slack: float) -> list[Route]:
         """Return the routes that keep `slack` m beyond robot_radius, if any."""

@@ -40,6 +40,8 @@ from anchorflow_trajectory.routes.homotopy import ObstacleRays, Signature, in_ce
 
 MOST_ROUTES = 12
 STRETCH = 1.3
+HARDLY = 1.2  # times the least length
+DIAGONAL = 2.0**0.5
 LOOKS_A_CELL = 2.0  # points of a straight line at which a map is looked up
 SLACK = 0.02  # m beyond robot_radius that a route keeps, so that a spline along it can
 
@@ -212,8 +214,14 @@ def search_routes(
     """
     offsets, queue = STEPS[:, 0] * width + STEPS[:, 1], new_queue(surcharge)
     cells, ends, found = np.empty(0, np.int64), np.zeros(most + 1, np.int64), 0
-    everywhere = Ground(steps, offsets, surcharge, np.zeros(len(steps)), np.inf)
-    from_start = ways_from(start, everywhere, queue)[0].lengths[0]
+    least = _least_ways(goal, width, len(steps))
+    # Most ways are hardly longer than on free ground, and few cells are then worth a look.
+    guess = HARDLY * least[start]
+    about = Ground(steps, offsets, surcharge, least, stretch * guess + ROUNDING)
+    from_start = ways_from(start, about, queue)[0].lengths[0]
+    if from_start[goal] > guess:
+        everywhere = Ground(steps, offsets, surcharge, least, np.inf)
+        from_start = ways_from(start, everywhere, queue)[0].lengths[0]
     limit = stretch * from_start[goal] + ROUNDING
     if not np.isfinite(limit):
         return cells, ends[:1]
@@ -242,6 +250,17 @@ def search_routes(
         left = _left(reached, ground, cuts, sheet, known[:found], ways.lengths)
         pending = _joined(_kept(pending, ~chosen), left)
     return cells, ends[: found + 1]
+
+
+@compiled_part
+def _least_ways(goal: int, width: int, count: int) -> Lengths:
+    """Return the least lengths [H * W] of ways from cells to the goal, as on free ground."""
+    least, (goal_row, goal_column) = np.empty(count), divmod(goal, width)
+    for cell in range(count):
+        row, column = divmod(cell, width)
+        up, across = abs(row - goal_row), abs(column - goal_column)
+        least[cell] = max(up, across) + (DIAGONAL - 1.0) * min(up, across)
+    return least
 
 
 @compiled_part

@@ -103,9 +103,9 @@ class SpaceTime:
         costs, at = np.full((layers + 1, *shape), NEVER), tuple((-first).astype(int))
         links = np.full(costs.shape, -1, np.int16)
         ground.blocked[0][at], costs[0][at] = False, 0.0
-        time = step * np.arange(layers + 1)[:, None, None]
-        off = np.linalg.norm(places - start - velocity * time[..., None], axis=-1)
-        _sweep(ground, off > 0.5 * limits.a_max * time**2 + size, costs, links, True)
+        begin = np.concatenate([start, velocity], dtype=np.float64)
+        barred = _beyond(places, begin, step, float(limits.a_max), len(costs), size)
+        _sweep(ground, barred, costs, links, True)
         return SpaceTime(origin, size, step, ground, costs, links)
 
     def node(self, place: FloatArray) -> tuple[int, int]:
@@ -223,6 +223,32 @@ def _paint(discs: Discs, origin: FloatArray, size: float, step: float, apart: Co
 
 
 @compiled
+def _beyond(
+    places: FloatArray,
+    begin: FloatArray,
+    step: float,
+    a_max: float,
+    layers: int,
+    room: float,
+) -> BoolArray:
+    """Return which places [X, Y, 2] are out of reach in each layer: [K + 1, X, Y].
+
+    begin: [4], position and velocity
+    """
+    width, height, _ = places.shape
+    beyond = np.empty((layers, width, height), np.bool_)
+    for k in range(layers):
+        time = k * step
+        most = 0.5 * a_max * time * time + room
+        at_x, at_y = begin[0] + begin[2] * time, begin[1] + begin[3] * time
+        for i in range(width):
+            for j in range(height):
+                x, y = places[i, j, 0] - at_x, places[i, j, 1] - at_y
+                beyond[k, i, j] = x * x + y * y > most * most
+    return beyond
+
+
+@compiled
 def _sweep(
     ground: Ground,
     barred: BoolArray,
@@ -230,61 +256,95 @@ def _sweep(
     links: NDArray[np.int16],
     forwards: bool,
 ) -> None:
-    """Write the cheapest costs and moves [K + 1, X, Y] from those of the first or last layer."""
+    """Write the cheapest costs and moves [K + 1, X, Y] from those of the first or last layer.
+
+    A place that cannot be passed costs infinity, so that the innermost loop has no branches.
+    """
     layers, width, height = costs.shape
+    sign = 1 if forwards else -1
+    dear = 1.0 + ground.surcharge.astype(np.float64)
+    walls, nothing = _forbidden(ground.still), np.zeros((width, height), np.float32)
+    passed, here, there = np.empty_like(nothing), np.empty_like(nothing), np.empty_like(nothing)
     for count in range(layers - 1):
         k = count if forwards else layers - 1 - count
-        for i in range(width):
-            for j in range(height):
-                if costs[k, i, j] < NEVER:
-                    _go_on(ground, barred, costs, links, (k, i, j), forwards)
-
-
-@compiled_part
-def _go_on(
-    ground: Ground,
-    barred: BoolArray,
-    costs: Costs,
-    links: NDArray[np.int16],
-    node: tuple[int, int, int],
-    forwards: bool,
-) -> None:
-    """Lower the costs of the nodes of the next layer that a node's moves lead to."""
-    k, i, j = node
-    _, width, height = costs.shape
-    sign = 1 if forwards else -1
-    to, half = k + sign, 2 * k + sign
-    here = costs[k, i, j]
-    if not forwards:
-        here += ground.charge[k, i, j]
-    for m in range(len(ground.moves)):
-        x, y = i + sign * ground.moves[m, 0], j + sign * ground.moves[m, 1]
-        if not (0 <= x < width and 0 <= y < height):
-            continue
-        if barred[to, x, y] or ground.blocked[2 * to, x, y]:
-            continue
+        to = k + sign
+        passed[:] = _forbidden(ground.blocked[2 * k + sign])
+        here[:], there[:] = costs[k], _forbidden(barred[to] | ground.blocked[2 * to])
         if forwards:
-            cost = here + ground.price[m] * (1 + ground.surcharge[x, y]) + ground.charge[to, x, y]
+            there += ground.charge[to]
         else:
-            cost = here + ground.price[m] * (1 + ground.surcharge[i, j])
-        if cost < costs[to, x, y] and _is_clear(ground, half, (i, j), (x, y)):
-            costs[to, x, y] = cost
-            links[to, x, y] = m
+            here += ground.charge[k]
+        rows, columns = _reached(costs[k])
+        for move in range(len(ground.moves)):
+            # Of moves that cost the same, the one from the first node is kept.
+            m = len(ground.moves) - 1 - move if forwards else move
+            a, b = sign * ground.moves[m, 0], sign * ground.moves[m, 1]
+            begin, end = max(columns[0], -b), min(columns[1], height - b)
+            p, q = round(0.25 * a), round(0.25 * b)
+            c, d = a // 2, b // 2
+            is_next = a * a + b * b <= 2  # nothing is between neighbours
+            half, quarters = (nothing, nothing) if is_next else (passed, walls)
+            for i in range(max(rows[0], -a), min(rows[1], width - a)):
+                x = i + a
+                worth = dear[x, begin + b :] if forwards else dear[i, begin:]
+                terms = (
+                    here[i, begin:],
+                    there[x, begin + b :],
+                    half[i + c, begin + d :],
+                    half[x - c, begin + b - d :],
+                    quarters[i + p, begin + q :],
+                    quarters[x - p, begin + b - q :],
+                )
+                best, link = costs[to, x, begin + b :], links[to, x, begin + b :]
+                _lower(best, link, m, ground.price[m], worth, terms, end - begin)
 
 
 @compiled_part
-def _is_clear(ground: Ground, half: int, node: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether nothing is in the way between two nodes: what moves half way, walls in quarters."""
-    (i, j), (x, y) = node, other
-    a, b = x - i, y - j
-    if a * a + b * b <= 2:
-        return True
-    if ground.blocked[half, i + a // 2, j + b // 2]:
-        return False
-    if ground.blocked[half, x - a // 2, y - b // 2]:
-        return False
-    p, q = round(0.25 * a), round(0.25 * b)
-    return not (ground.still[i + p, j + q] or ground.still[x - p, y - q])
+def _lower(
+    best: Costs,
+    link: NDArray[np.int16],
+    move: int,
+    price: np.float32,
+    worth: NDArray[np.float64],
+    terms: tuple[Costs, ...],
+    count: int,
+) -> None:
+    """Lower the costs [Y] of a row's first `count` nodes to those by a move, and write it there.
+
+    worth: factor on the move's price; terms: what is added to it, of which the last four are
+        infinite where something is in the way
+    """
+    here, there, half, other_half, quarter, last_quarter = terms
+    for n in range(count):
+        cost = here[n] + price * worth[n] + there[n]
+        cost += half[n] + other_half[n] + quarter[n] + last_quarter[n]
+        is_less = cost < best[n]
+        best[n] = cost if is_less else best[n]
+        link[n] = move if is_less else link[n]
+
+
+@compiled_part
+def _forbidden(places: BoolArray) -> Costs:
+    """Return infinity where places [X, Y] are set, and 0 elsewhere."""
+    cost = np.zeros(places.shape, np.float32)
+    for i in range(places.shape[0]):
+        for j in range(places.shape[1]):
+            if places[i, j]:
+                cost[i, j] = np.inf
+    return cost
+
+
+@compiled_part
+def _reached(costs: Costs) -> tuple[tuple[int, int], tuple[int, int]]:
+    """Return the first row and column [X, Y] that have a cost, and those after the last."""
+    width, height = costs.shape
+    low, high, left, right = width, 0, height, 0
+    for i in range(width):
+        for j in range(height):
+            if costs[i, j] < NEVER:
+                low, high = min(low, i), max(high, i + 1)
+                left, right = min(left, j), max(right, j + 1)
+    return (low, high), (left, right)
 
 
 @compiled
