@@ -24,9 +24,9 @@ from anchorflow_trajectory.motion import MotionLimits, nominal_duration, share_w
 from anchorflow_trajectory.movers import Discs, MovingDiscs
 from anchorflow_trajectory.routes.dijkstra import cell_index
 from anchorflow_trajectory.routes.homotopy import ObstacleRays
+from anchorflow_trajectory.routes.offered import RouteSearch
 from anchorflow_trajectory.routes.passing import WAITS, Ways, passing_keys, ways_past
-from anchorflow_trajectory.routes.search import SLACK, Route, find_routes
-from anchorflow_trajectory.routes.shortening import CHORD_SLACK, pulled_tight
+from anchorflow_trajectory.routes.search import Route
 from anchorflow_trajectory.routes.space_time import SpaceTime
 from anchorflow_trajectory.routes.splines import (
     LEAST_WAY,
@@ -59,7 +59,6 @@ BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 HURRY, CLOSE = 0.94, 0.05  # share of v_max of ways over places and times, and m that they keep
 RESERVE = 1.1  # times the shortest way, which the cruise of a horizon covers
-DETOUR = 1.5  # times a tight route that a roomy one may be long
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
 MARGIN = 0.05  # m of clearance at which the cost of a collision begins, if nothing else is asked
@@ -161,67 +160,25 @@ class Scene:
     @cached_property
     def routes(self) -> list[Route]:
         """The cheapest ways round the obstacles, the cheapest first; empty where none is free."""
-        for margin in dict.fromkeys((self.certified_margin, 0.0)):
-            if found := self._routes_beyond(margin):
-                return self._pulled_tight(found, slack=CHORD_SLACK + margin)
-        return []  # none can be certified either: `safe` says so
-
-    def _routes_beyond(self, margin: float) -> list[Route]:
-        """Return the routes that keep a margin, the roomy ones where something moves."""
-        slack = SLACK + margin
-        is_among = self.movers is not None and bool(self.occupied.any())
-        roomy = self._roomy_routes(slack) if is_among else []
-        return roomy or self._found_routes(slack)
-
-    def _roomy_routes(self, slack: float) -> list[Route]:
-        """Return routes that keep a cell more than tight ones, if they are hardly longer.
-
-        A gap that is open by less may be closed on the next map, a fraction of a cell further on,
-        and who has to turn round among what moves is late.
-        """
-        roomy = self._found_routes(slack + max(self.resolution, clearance.FINE))
-        most, horizon, dim = np.inf, self.motion.horizon_s, len(self.x_goal) // 2
-        if horizon is not None:
-            speeds = (np.linalg.norm(x[dim : dim + 2]) for x in (self.x_curr, self.x_goal))
-            most = self.motion.most_way(horizon, *map(float, speeds))
-        roomy = [route for route in roomy if route.length <= most]
-        straight = float(np.linalg.norm(self.x_goal[:2] - self.x_curr[:2]))
-        if all(route.length <= DETOUR * straight for route in roomy):
-            return roomy  # without a look for the tight ones, which are no shorter
-        tight = self._found_routes(slack)[0].length
-        return [route for route in roomy if route.length <= DETOUR * tight]
-
-    def routes_with(self, slack: float) -> list[Route]:
-        """Return the routes that keep `slack` m beyond robot_radius, if any."""
-        if slack not in self._searched:
-            self._searched[slack] = self._pulled_tight(self._found_routes(slack), slack=slack)
-        return self._searched[slack]
+        within = None
+        if self.movers is not None and self.occupied.any():
+            within, dim = np.inf, len(self.x_goal) // 2
+            if (horizon := self.motion.horizon_s) is not None:
+                begin, end = (np.linalg.norm(x[dim : dim + 2]) for x in (self.x_curr, self.x_goal))
+                within = self.motion.most_way(horizon, float(begin), float(end))
+        return self.route_search.offered(self.certified_margin, roomy_within=within)
 
     @cached_property
-    def _searched(self) -> dict[float, list[Route]]:
-        return {}
-
-    def _pulled_tight(self, routes: list[Route], *, slack: float) -> list[Route]:
-        return pulled_tight(
-            routes,
+    def route_search(self) -> RouteSearch:
+        """Return the search for routes on this map."""
+        return RouteSearch(
             self.clearance_field,
-            resolution=self.resolution,
-            origin=self.origin,
-            slack=slack,
-            rays=self.rays,
-            surcharge=self.surcharge,
-        )
-
-    def _found_routes(self, slack: float) -> list[Route]:
-        return find_routes(
-            self.clearance_field,
-            resolution=self.resolution,
-            origin=self.origin,
-            start=self.x_curr[:2],
-            goal=self.x_goal[:2],
-            slack=slack,
-            rays=self.rays,
-            surcharge=self.surcharge,
+            self.surcharge,
+            self.resolution,
+            self.origin,
+            self.x_curr[:2],
+            self.x_goal[:2],
+            self.rays,
         )
 
     @cached_property

@@ -100,7 +100,8 @@ def new_starts(
     if basis is scene.basis:
         yield _slowed(scene, basis, scene.route_splines[lost], SLOW_STRETCH), lost
     routes = {int(place): scene.routes[place] for place in lost if place < len(scene.routes)}
-    roomy = {route.signature: route for route in scene.routes_with(ROOM + certified_margin)}
+    others = scene.route_search.with_slack(ROOM + certified_margin)
+    roomy = {route.signature: route for route in others}
     found = {place: roomy.get(route.signature) for place, route in routes.items()}
     again = {place: route for place, route in found.items() if route is not None}
     if again:
