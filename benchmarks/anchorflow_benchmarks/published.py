@@ -95,10 +95,10 @@ def measured(name: str, folder: Path, threads: int) -> Row:
     trained = run("train", data, "--config", config, "--out", saved.parent, *once)
     proof, exported = output_of("export", saved, *told.export, "--out", folder / "bundle")
     checkpoint, bundle = load_checkpoint(saved), load_bundle(folder / "bundle")
-    graphs = bundle.manifest.graphs
+    graphs, model = bundle.manifest.graphs, restore_model(checkpoint)
     return {
         "configuration": name,
-        "weights, millions": sum(each.numel() for each in checkpoint.average.values()) / 1e6,
+        "weights, millions": sum(each.numel() for each in model.parameters()) / 1e6,
         "step s": trained,
         "export s": exported,
         "parity": f"{max(map(float, DIFFERENCE.findall(proof))):.1e}",
