@@ -38,26 +38,21 @@ def operations(bundle: Path, role: str) -> set[str]:
     return {node.op_type for node in onnx.load(path).graph.node}
 
 
-def test_field_and_encoder_are_rounded(bundle: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_field_and_encoder_are_rounded(bundle: Path, flowmp_rounded: Path) -> None:
     before = load_bundle(bundle).manifest
-    with caplog.at_level(logging.WARNING):
-        moved = quantize_bundle(bundle)
-    manifest = load_bundle(bundle).manifest  # its hashes and signatures hold
-    assert 0.0 < moved.error < 1.0  # of random weights, which carry the encoder's rounding far
+    manifest = load_bundle(flowmp_rounded).manifest  # its hashes and signatures hold
     for role in ("encode", "field"):
-        assert "QuantizeLinear" in operations(bundle, role)
+        assert "QuantizeLinear" in operations(flowmp_rounded, role)
         assert manifest.graphs[role].precision == "int8"
     assert manifest.graphs["modulate"] == before.graphs["modulate"]
-    assert [path.name for path in bundle.parent.iterdir()] == ["bundle"]
-    assert caplog.records == []
+    assert [path.name for path in flowmp_rounded.parent.iterdir()] == ["bundle"]
 
 
-def test_scales_of_a_bundle_like_it_are_kept_where_they_nearly_fit(
-    bundle: Path, tmp_path: Path
+def test_numbers_of_a_bundle_like_it_are_kept_where_they_nearly_fit(
+    bundle: Path, flowmp_rounded: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    whole = shutil.copytree(bundle, tmp_path / "whole")
-    quantize_bundle(bundle)
-    graphs = rounded_graphs(load_bundle(bundle))
+    """Scales, and the encoder's sums: equal weights become equal graphs wherever they are exported."""
+    graphs = rounded_graphs(load_bundle(flowmp_rounded))
     held = {each.name: each for each in graphs["field"].initializer}
     scales = [n for n in held if n.endswith("_scale") and not n.endswith("_quantized_scale")]
     activations = [name for name in scales if not held[name].dims]
@@ -66,40 +61,29 @@ def test_scales_of_a_bundle_like_it_are_kept_where_they_nearly_fit(
     given = {name: numpy_helper.to_array(held[name]).copy() for name in wanted}
     for name, factor in wanted.items():
         held[name].CopyFrom(numpy_helper.from_array(given[name] * np.float32(factor), name))
-
-    quantize_bundle(whole, like=graphs)
-
-    found = rounded_graphs(load_bundle(whole))["field"].initializer
-    got = {each.name: numpy_helper.to_array(each) for each in found if each.name in wanted}
-    for name, kept in ((activations[0], 1.5), (activations[1], 1.0), (weight, 1.2)):
-        np.testing.assert_allclose(got[name], given[name] * kept, rtol=1e-6)
-
-
-def test_sums_of_another_machine_are_kept_and_other_numbers_are_not(
-    bundle: Path, tmp_path: Path
-) -> None:
-    """Equal weights become equal graphs wherever they are exported."""
-    whole = shutil.copytree(bundle, tmp_path / "whole")
-    quantize_bundle(bundle)
-    graphs = rounded_graphs(load_bundle(bundle))
     floats = [each for each in graphs["encode"].initializer if each.data_type == FLOAT]
     summed, learnt = sorted(floats, key=lambda each: -np.prod(each.dims, initial=1))[:2]
     for tensor, factor in ((summed, 1 + 4e-7), (learnt, 1 + 1e-4)):
         values = numpy_helper.to_array(tensor) * np.float32(factor)
         tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
 
-    quantize_bundle(whole, like=graphs)
+    with caplog.at_level(logging.WARNING):
+        quantize_bundle(bundle, like=graphs)
 
-    found = {e.name: e for e in rounded_graphs(load_bundle(whole))["encode"].initializer}
-    got, other = (numpy_helper.to_array(found[each.name]) for each in (summed, learnt))
-    np.testing.assert_array_equal(got, numpy_helper.to_array(summed))
-    assert not np.array_equal(other, numpy_helper.to_array(learnt))
+    assert caplog.records == []
+    found = rounded_graphs(load_bundle(bundle))
+    got = {e.name: numpy_helper.to_array(e) for role in found.values() for e in role.initializer}
+    for name, kept in ((activations[0], 1.5), (activations[1], 1.0), (weight, 1.2)):
+        np.testing.assert_allclose(got[name], given[name] * kept, rtol=1e-6)
+    np.testing.assert_array_equal(got[summed.name], numpy_helper.to_array(summed))
+    assert not np.array_equal(got[learnt.name], numpy_helper.to_array(learnt))
 
 
-def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(bundle: Path) -> None:
+def test_rounding_is_fine_and_anchors_do_not_depend_on_their_neighbours(
+    bundle: Path, flowmp_rounded: Path
+) -> None:
     whole = sampler_of(load_bundle(bundle))
-    quantize_bundle(bundle)
-    rounded = load_bundle(bundle)
+    rounded = load_bundle(flowmp_rounded)
     flow, spec = sampler_of(rounded), rounded.card.sampler
     assert isinstance(spec, OdeSpec)
     (scene,) = random_scenes(rounded, 1, seed=1)

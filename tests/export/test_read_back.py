@@ -18,7 +18,7 @@ from anchorflow_client.contract import SamplerChoice, resolve_for_card
 from anchorflow_export.adapter import ExportChoices
 from anchorflow_export.parity import graph_differences
 from anchorflow_export.planners import adapter_of, choices_of
-from anchorflow_export.quantization import quantize_bundle, rounded_graphs
+from anchorflow_export.quantization import rounded_graphs
 from anchorflow_export.read_back import read_weights
 from anchorflow_models.registry import planner_named
 from anchorflow_models.torch_graphs import TorchGraphs
@@ -101,14 +101,13 @@ def test_a_checkpoint_has_the_weights_of_the_bundle_in_eight_bits(name: str) -> 
 
 
 def test_a_checkpoint_of_a_bundle_in_eight_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    flowmp_rounded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It begins a run, its weights are the network's but for the rounding, and a bundle like the
     rounded one may be in float32."""
     made, rounded, file = export_once("flowmp"), tmp_path / "rounded", tmp_path / "made.pt"
-    shutil.copytree(made.path, rounded)
+    shutil.copytree(flowmp_rounded, rounded)
     assert "training.config.model" in failure("checkpoint", rounded, "--out", file)
-    quantize_bundle(rounded)
     manifest = json.loads((rounded / "manifest.json").read_text())
     manifest["training"] = {"steps": 7, "config": {"model": asdict(made.network.config)}}
     (rounded / "manifest.json").write_text(json.dumps(manifest))
