@@ -14,6 +14,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from hatchling.builders.sdist import SdistBuilder
+from hatchling.builders.wheel import WheelBuilder
 from hatchling.metadata.core import ProjectMetadata
 from hatchling.plugin.manager import PluginManager
 
@@ -66,13 +68,11 @@ def environment(folder: Path, *install: str | Path) -> Path:
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Build each folder's sdist, and its wheel from that; return the wheels by folder."""
     out = tmp_path_factory.mktemp("dist")
-    build = [sys.executable, "-m", "hatchling", "build", "-d", out, "-t"]
     for folder in ("", *ROBOT):
-        text_of([*build, "sdist"], folder=ROOT / folder)
-    for archive in out.glob("*.tar.gz"):
+        (archive,) = SdistBuilder(str(ROOT / folder)).build(directory=str(out))
         with tarfile.open(archive) as opened:
             opened.extractall(out, filter="data")
-        text_of([*build, "wheel"], folder=out / archive.name.removesuffix(".tar.gz"))
+        (_,) = WheelBuilder(archive.removesuffix(".tar.gz")).build(directory=str(out))
     version = anchorflow_client.__version__
     names = {"": "anchorflow", **{folder: f"anchorflow_{folder}" for folder in ROBOT}}
     return {key: out / f"{name}-{version}-py3-none-any.whl" for key, name in names.items()}

@@ -25,8 +25,12 @@ def quickstart() -> ModuleType:
 
 
 def test_it_trains_generates_and_draws(
-    quickstart: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    quickstart: ModuleType,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(quickstart.os, "cpu_count", lambda: 1)  # No processes beside it.
     quickstart.main(["--out", str(tmp_path), "--scenes", "8", "--steps", "2"])
     assert load_checkpoint(tmp_path / "run" / "checkpoint.pt").step == 2
     printed = capsys.readouterr().out

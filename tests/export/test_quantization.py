@@ -51,7 +51,7 @@ def test_field_and_encoder_are_rounded(bundle: Path, flowmp_rounded: Path) -> No
 def test_numbers_of_a_bundle_like_it_are_kept_where_they_nearly_fit(
     bundle: Path, flowmp_rounded: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Scales, and the encoder's sums: equal weights become equal graphs wherever they are exported."""
+    """Scales, and sums of the encoder: equal weights become equal graphs on every machine."""
     graphs = rounded_graphs(load_bundle(flowmp_rounded))
     held = {each.name: each for each in graphs["field"].initializer}
     scales = [n for n in held if n.endswith("_scale") and not n.endswith("_quantized_scale")]
