@@ -68,7 +68,9 @@ def judged(plans: NDArray[np.floating], boxes: Array, road: Raster) -> NDArray[n
     wrong = ~(is_road & shown).all((1, 2))
     for x, y, heading, length, width, vx, vy, _ in boxes:
         place = np.stack([x + vx * times, y + vy * times, heading + 0 * times], -1)
-        wrong |= overlap(car, corners(place, length, length, width)).any(1)
+        gap = np.hypot(fine[:, 0] - place[:, 0], fine[:, 1] - place[:, 1])
+        near = (gap <= np.hypot(CAR.front, CAR.side) + np.hypot(length, width)).any(1)
+        wrong[near] |= overlap(car[near], corners(place, length, length, width)).any(1)
     return wrong
 
 
