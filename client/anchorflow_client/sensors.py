@@ -56,6 +56,8 @@ X, Y, HEADING, VX, VY, LENGTH, WIDTH, KIND = range(8)
 KINDS = (1, 2, 3)
 """Vehicle, person, cyclist; 0 in unused rows."""
 SAME_POINT = 1e-6  # m; nearer points of a polyline are one
+SAME_ARM_M = 3.0
+"""m more than to the nearest arm of a route, up to which the car may be on another one."""
 
 
 def stitch_cameras(
@@ -190,12 +192,24 @@ def route_ahead(points: ArrayLike) -> Floats:
     along = np.diff(line, axis=0)
     length = np.linalg.norm(along, axis=1)
     share = np.clip(-(line[:-1] * along).sum(-1) / length**2, 0.0, 1.0)
-    nearest = np.linalg.norm(line[:-1] + share[:, None] * along, axis=1).argmin()
+    nearest = _arm(np.linalg.norm(line[:-1] + share[:, None] * along, axis=1), along)
     arc = np.concatenate([[0.0], length.cumsum()])
     at = arc[nearest] + share[nearest] * length[nearest] + ROUTE_SPACING_M * np.arange(ROUTE_POINTS)
     beyond = np.maximum(at - arc[-1], 0.0)[:, None] * along[-1] / length[-1]
     places = np.stack([np.interp(at, arc, axis) for axis in line.T], -1)
     return (places + beyond).astype(np.float32)
+
+
+def _arm(apart: Floats, along: Floats) -> int:
+    """Return which edge [E] of a route a car is on: the nearest one; where the route comes back to
+    the car, the nearest of the arm that leads its way.
+
+    apart: [E] m from the car; along: [E, 2]
+    """
+    near = np.flatnonzero(apart <= apart.min() + SAME_ARM_M)
+    arms = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
+    nearest = [arm[apart[arm].argmin()] for arm in arms]
+    return int(min(nearest, key=lambda edge: abs(np.arctan2(along[edge, 1], along[edge, 0]))))
 
 
 def _image(image: ArrayLike, field: str) -> Bytes:

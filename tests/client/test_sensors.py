@@ -191,6 +191,13 @@ def test_a_route_that_lies_ahead_begins_with_its_first_place() -> None:
     np.testing.assert_allclose(route_ahead([[5.0, 0.0], [9.0, 0.0]])[:2], [[5.0, 0.0], [7.0, 0.0]])
 
 
+def test_where_a_route_crosses_itself_the_arm_that_leads_the_cars_way_counts() -> None:
+    loop = [[-20.0, 0.5], [30.0, 0.5], [30.0, 30.0], [0.2, 30.0], [0.2, -60.0]]
+    np.testing.assert_allclose(route_ahead(loop)[1], [2.0, 0.5], atol=1e-5)
+    turned = [[-y, x] for x, y in loop]  # the car is on the other arm
+    np.testing.assert_allclose(route_ahead(turned)[0], [0.0, 0.2], atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("points", "message"),
     [

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from anchorflow_client.contract.batch import beside_route
 from anchorflow_service.bundle.manifest import Manifest
-from anchorflow_service.engine.interfaces import Array, ConditionedScene, best
+from anchorflow_service.engine.interfaces import Array, ConditionedScene, Context, best
+from anchorflow_service.engine.route_drives import RouteDrives
 from anchorflow_trajectory.car.course import Course
 from anchorflow_trajectory.car.tracking import wrap_angle
 
@@ -36,6 +37,7 @@ class AlongRoute:
     def __init__(self, manifest: Manifest) -> None:
         asked = {spec.name for spec in manifest.request.inputs}
         self._reads = ROUTE in asked - {*manifest.graphs["encode"].input_names}
+        self._drives = RouteDrives(manifest) if RouteDrives.is_possible(manifest) else None
 
     def scored(self, scores: Array, trajectories: Array, scene: ConditionedScene) -> Array:
         """Return the scores [K] of trajectories [K,T,D] along the route."""
@@ -65,6 +67,16 @@ class AlongRoute:
         ways = np.diff(trajectories[..., :2], axis=1, prepend=0.0)
         length = np.linalg.norm(ways, axis=-1).sum(-1)
         return (scores - SHORTER * (1 - length / max(length.max(), SHORT))).astype(scores.dtype)
+
+    def among_drives(
+        self, scores: Array, trajectories: Array, scene: ConditionedScene, context: Context
+    ) -> tuple[Array, Array]:
+        """Return scores [K+M] of trajectories [K+M,T,D]; the last M are drives along the route, if
+        there is one and the planner perceives enough to judge them."""
+        route = self._route(scene)
+        if route is None or self._drives is None:
+            return scores, trajectories
+        return self._drives.among(scores, trajectories, route, scene, context)
 
     def _route(self, scene: ConditionedScene) -> Array | None:
         return route_of(scene) if self._reads else None

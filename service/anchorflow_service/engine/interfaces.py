@@ -159,6 +159,14 @@ def best(scores: Array, count: int) -> NDArray[np.intp]:
     return np.argsort(-scores, kind="stable")[:count]
 
 
+def picked(array: Array, chosen: NDArray[np.intp]) -> Array:
+    """Return the rows of an array [K,…] that were chosen; 0 for those beyond its end."""
+    beyond = chosen >= len(array)
+    rows = array[np.where(beyond, 0, chosen)]
+    rows[beyond] = 0
+    return rows
+
+
 def names_of_each(extras: Iterable[TensorSpec]) -> set[str]:
     """Return the extras that hold one entry for each anchor: [B,N,…]."""
     return {spec.name for spec in extras if spec.shape[1:2] == ("N",)}

@@ -34,6 +34,7 @@ from anchorflow_service.engine.interfaces import (
     best,
     missing_roles,
     names_of_each,
+    picked,
     unknown_names,
 )
 from anchorflow_trajectory.ode.ddim import CLEAN, ddim_step, noised
@@ -173,13 +174,14 @@ class TruncatedDiffusionSampler:
         candidates = given[CANDIDATES][0]
         scores = self._along.hastened(given[SCORES][0], candidates, scene)
         scores = self._along.scored(scores, candidates, scene)
+        scores, candidates = self._along.among_drives(scores, candidates, scene, given)
         chosen = best(scores, request.num_samples)
-        arrays = {**{name: given[name][0] for name in self._extras}, SCORES: scores}
+        arrays = {name: given[name][0] for name in self._extras}
         arrays = {
-            name: array[chosen] if name in self._of_each or name == SCORES else array
+            name: picked(array, chosen) if name in self._of_each else array
             for name, array in arrays.items()
         }
-        return Samples(candidates[chosen], arrays=arrays)
+        return Samples(candidates[chosen], arrays={**arrays, SCORES: scores[chosen]})
 
     def _picked(self, coarse: Arrays, kept: NDArray[np.intp]) -> Arrays:
         """Return the coarse outputs of some candidates."""

@@ -28,6 +28,7 @@ from anchorflow_service.engine.interfaces import (
     best,
     missing_roles,
     names_of_each,
+    picked,
     unknown_names,
 )
 
@@ -90,10 +91,13 @@ class VocabularySampler:
         scores = given[SCORES][0] if SCORES in given else None
         if scores is not None:
             scores = self._along.scored(scores, trajectories, scene)
+            scores, trajectories = self._along.among_drives(scores, trajectories, scene, given)
         ranks = np.zeros(len(trajectories)) if scores is None else scores
         chosen = best(ranks, scene.request.num_samples)
         arrays = {name: given[name][0] for name in self._extras}
-        arrays = {name: a[chosen] if name in self._of_each else a for name, a in arrays.items()}
+        arrays = {
+            name: picked(a, chosen) if name in self._of_each else a for name, a in arrays.items()
+        }
         if scores is not None:
             arrays[SCORES] = scores[chosen]
         return Samples(trajectories[chosen], arrays=arrays)

@@ -1,0 +1,137 @@
+"""What plans are worth by what is perceived: occupancy, small things, road and course."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from anchorflow_trajectory.car.course import Course
+from anchorflow_trajectory.car.outlook import Sight, worth
+from anchorflow_trajectory.car.route_drives import OFFSETS, RATES, route_drives
+from anchorflow_trajectory.car.small_things import SmallThings
+from anchorflow_trajectory.car.tracking import EgoState, interpolate, track
+from anchorflow_trajectory.guard.faults import Raster
+from anchorflow_trajectory.guard.motion import Car
+
+CAR, SPEED = Car(3.6, 1.0, 0.9), 8.0
+STREET = Course(np.array([[0.0, 0.0], [100.0, 0.0]]))
+AHEAD, LIDAR = (-32.0, 72.0, -32.0, 32.0), (-32.0, 32.0, -32.0, 32.0)
+FREE = Raster(np.zeros((20, 104, 64), np.float32), AHEAD, 0.25, 0.25)
+ROAD = Raster(np.ones((1, 128, 256), np.float32), (0.0, 32.0, -32.0, 32.0))
+NOTHING = SmallThings(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+CLEAR = Sight(FREE, ROAD, NOTHING)
+DRIVES = route_drives(STREET, SPEED, top_speed=10.0)
+
+
+def values(sight: Sight, *, speed: float = SPEED, drives: np.ndarray = DRIVES) -> np.ndarray:
+    poses = np.concatenate([np.zeros((len(drives), 1, 3)), drives], 1)
+    start = EgoState(np.zeros(3), speed, 0.0, 0.0)
+    motion = track(interpolate(poses), start, wheelbase=2.7)
+    return worth(motion, CAR, sight, STREET)
+
+
+def best(sight: Sight) -> tuple[float, float]:
+    """Return the offset and the rate of the best drive."""
+    offset, rate = divmod(int(values(sight).argmax()), len(RATES))
+    return OFFSETS[offset], RATES[rate]
+
+
+def taken(x: tuple[float, float], *, moving: float = 0.0, share: float = 0.9) -> Raster:
+    """Return occupancy over the whole street between two x, which move on (m/s)."""
+    layers, middles = np.zeros((20, 104, 64), np.float32), 71.5 - np.arange(104)
+    for layer, rows in enumerate(layers):
+        low, high = (each + moving * 0.25 * (layer + 1) for each in x)
+        rows[(middles > low) & (middles < high)] = share
+    return replace(FREE, values=layers)
+
+
+def small(x: float, y: float, vy: float = 0.0) -> Sight:
+    things = SmallThings(np.array([[x, y]]), np.array([[0.0, vy]]), np.array([0.3]))
+    return replace(CLEAR, things=things)
+
+
+def test_on_a_free_street_the_fastest_is_best_in_the_middle() -> None:
+    assert best(CLEAR) == (0.0, RATES[0])
+
+
+@pytest.mark.parametrize(("x", "rate"), [((20.0, 24.0), -1.5), ((14.0, 18.0), -2.5)])
+def test_it_brakes_before_predicted_occupancy(x: tuple[float, float], rate: float) -> None:
+    assert best(replace(CLEAR, taken=taken(x)))[1] <= rate
+
+
+def test_who_drives_on_ahead_is_followed_and_who_is_doubtful_counts_less() -> None:
+    assert best(replace(CLEAR, taken=taken((14.0, 18.0), moving=8.0)))[1] >= -0.75
+    assert best(replace(CLEAR, taken=taken((14.0, 18.0), share=0.05))) == (0.0, RATES[0])
+
+
+def test_who_comes_from_behind_is_at_fault() -> None:
+    pushing = replace(CLEAR, taken=taken((-12.0, -7.0), moving=16.0))
+    assert best(pushing)[1] >= 0.0
+    between = np.maximum(pushing.taken.values, taken((14.0, 18.0)).values)
+    assert best(replace(CLEAR, taken=replace(FREE, values=between)))[1] <= -2.5
+    both = np.maximum(
+        taken((-6.0, -0.5), moving=SPEED).values, taken((9.0, 11.0), moving=6.0).values
+    )
+    fastest = values(replace(CLEAR, taken=replace(FREE, values=both)))[0]
+    assert fastest < 1e-3 * values(CLEAR)[0]
+
+
+def test_it_stops_for_small_things_and_for_those_that_walk_into_its_way() -> None:
+    assert best(small(16.0, 0.0))[1] <= -1.5
+    assert best(small(30.0, 8.0)) == (0.0, RATES[0])
+    walking = values(small(14.0, -4.0, vy=2.0))
+    standing = values(small(14.0, -4.0))
+    fastest = OFFSETS.index(0.0) * len(RATES)
+    assert walking[fastest] < 0.1 * standing[fastest]
+    assert values(small(16.0, 0.0))[fastest] < 1e-3
+
+
+def test_the_road_decides_between_paths() -> None:
+    narrow = ROAD.values.copy()
+    narrow[:, :, 128 + 6 :] = 0.0  # all that is 1.5 m to the right
+    beside = values(replace(CLEAR, road=replace(ROAD, values=narrow))).reshape(3, -1)
+    assert beside[OFFSETS.index(1.0)].max() > 5 * beside[OFFSETS.index(-1.0)].max()
+
+
+def test_of_plans_that_all_hit_something_the_one_that_brakes_hardest_is_best() -> None:
+    assert best(replace(CLEAR, taken=taken((3.0, 9.0))))[1] == RATES[-1]
+
+
+def test_a_plan_off_the_course_is_worth_less() -> None:
+    away = DRIVES[:1] + np.linspace(0.0, 1.0, 8)[:, None] * [0.0, 4.0, 0.0]
+    on, off = values(CLEAR, drives=np.concatenate([DRIVES[:1], away]))
+    assert off < 0.2 * on
+
+
+def lidar(*boxes: tuple[float, float, float, float], count: float = 1.0) -> Raster:
+    """Return a sweep with points between the x and y of boxes."""
+    cells, x = np.zeros((1, 256, 256), np.float32), 31.875 - 0.25 * np.arange(256)
+    for low_x, high_x, low_y, high_y in boxes:
+        rows, columns = (x > low_x) & (x < high_x), (x > low_y) & (x < high_y)
+        cells[0] = np.where(rows[:, None] & columns, count, cells[0])
+    return Raster(cells, LIDAR)
+
+
+def test_a_person_is_seen_with_his_velocity() -> None:
+    now, before = lidar((10.0, 10.5, 2.0, 2.5)), lidar((10.0, 10.5, 1.25, 1.75))
+    seen = SmallThings.seen(now, before, FREE, CAR)
+    np.testing.assert_allclose(seen.places, [[10.25, 2.25]])
+    np.testing.assert_allclose(seen.velocities, [[0.0, 1.5]])
+    assert 0.3 <= seen.radii[0] < 0.4
+    alone = SmallThings.seen(now, None, FREE, CAR)
+    np.testing.assert_allclose(alone.velocities, [[0.0, 0.0]])
+
+
+def test_what_occupancy_explains_or_the_car_is_itself_is_no_thing() -> None:
+    now = lidar((10.0, 10.5, 2.0, 2.5), (1.0, 2.0, -0.5, 0.5))
+    assert not len(SmallThings.seen(now, None, taken((8.0, 12.0)), CAR).radii)
+    assert len(SmallThings.seen(now, None, taken((14.0, 18.0)), CAR).radii) == 1
+
+
+def test_single_points_are_noise_and_long_things_are_points() -> None:
+    assert not len(SmallThings.seen(lidar((9.9, 10.2, 2.0, 2.3), count=0.2), None, FREE, CAR).radii)
+    wall = SmallThings.seen(lidar((5.0, 15.0, 4.0, 4.5)), None, FREE, CAR)
+    assert len(wall.radii) == 40 * 2
+    assert wall.radii.max() < 0.2

@@ -1,0 +1,149 @@
+"""Small things that a LiDAR sees and no predicted occupancy explains: people, cyclists, barriers.
+
+Each is a group of points in a histogram seen from above. Its velocity is that of the group's middle
+since the sweep before, if the nearest groups of both sweeps belong together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from anchorflow_trajectory import BoolArray, FloatArray
+from anchorflow_trajectory.car.course import Course
+from anchorflow_trajectory.guard.faults import Raster
+from anchorflow_trajectory.guard.motion import Car
+
+SWEEPS_S = 0.5
+"""s between the two sweeps."""
+KNOWN = 0.35
+"""Predicted occupancy near a point from which on it is explained."""
+FEW = 0.35
+"""Sum of a group's cells, each in [0, 1], below which it is noise."""
+LONGEST = 2.5
+"""m of a group; the points of a longer one are still things of their own."""
+LEAST_RADIUS, POINT_RADIUS = 0.3, 0.15
+"""m, of a group and of a point."""
+MOVED, STILL = 3.0, 0.5
+"""m between two sweeps at most; m/s below which a group stands."""
+OWN_M = 0.2
+"""m about the car in which points are its own."""
+BEHIND_M, AROUND_M = 3.0, 40.0
+"""m behind the rear axle from which on, and m from it up to which things count."""
+BESIDE_M, MOST = 8.0, 128
+"""m beside a course up to which things are near it, and how many of them count."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmallThings:
+    """K discs: places [K,2] now, velocities [K,2] m/s, radii [K] m."""
+
+    places: FloatArray
+    velocities: FloatArray
+    radii: FloatArray
+
+    @classmethod
+    def seen(cls, now: Raster, before: Raster | None, taken: Raster, car: Car) -> SmallThings:
+        """Find them in two sweeps, both in the frame of now.
+
+        before: None if there is no earlier sweep; then nothing moves
+        taken: predicted occupancy, the first layer of which is nearly that of now
+        """
+        about = sliding_window_view(np.pad(taken.values[0], 1), (3, 3))
+        known = about.max((2, 3)) > KNOWN
+        discs, points = _groups(now, known, taken, car)
+        velocities = np.zeros((len(discs), 2))
+        if before is not None:
+            earlier, _ = _groups(before, known, taken, car)
+            velocities = _velocities(discs[:, :2], earlier[:, :2])
+        discs = np.concatenate([discs, np.c_[points, np.full(len(points), POINT_RADIUS)]])
+        velocities = np.concatenate([velocities, np.zeros_like(points)])
+        near = np.hypot(discs[:, 0], discs[:, 1]) < AROUND_M
+        return cls(discs[near, :2], velocities[near], discs[near, 2])
+
+    def near(self, course: Course) -> SmallThings:
+        """Return those near a course, at most MOST of them, the nearest to the car."""
+        _, left = course.project(self.places)
+        few = np.argsort(np.hypot(*self.places.T) + 1e3 * (np.abs(left) > BESIDE_M))[:MOST]
+        few = few[np.abs(left[few]) <= BESIDE_M]
+        return SmallThings(self.places[few], self.velocities[few], self.radii[few])
+
+
+def _velocities(now: FloatArray, before: FloatArray) -> FloatArray:
+    """Return the m/s [K,2] of places [K,2], by those of the sweep before [J,2]."""
+    velocities = np.zeros_like(now)
+    if not (len(now) and len(before)):
+        return velocities
+    apart = np.linalg.norm(now[:, None] - before, axis=-1)
+    nearest, each = apart.argmin(1), np.arange(len(now))
+    same = (apart.argmin(0)[nearest] == each) & (apart[each, nearest] < MOVED)
+    velocities[same] = (now - before[nearest])[same] / SWEEPS_S
+    velocities[np.linalg.norm(velocities, axis=1) < STILL] = 0.0
+    return velocities
+
+
+def _groups(
+    sweep: Raster, known: BoolArray, taken: Raster, car: Car
+) -> tuple[FloatArray, FloatArray]:
+    """Return groups [K,3] as x, y, radius and the points [P,2] of longer ones."""
+    counts = sweep.values[0]
+    row, column = np.nonzero(counts)
+    x, y = places_of(sweep, row, column)
+    inside, above, left = cells_at(taken, x, y)
+    own = (x < car.front + OWN_M) & (x > -car.rear - OWN_M) & (np.abs(y) < car.side + OWN_M)
+    rest = ~(inside & known[above, left]) & ~own & (x > -BEHIND_M)
+    row, column, x, y = row[rest], column[rest], x[rest], y[rest]
+    share = counts[row, column].astype(np.float64)
+    _, label, size = np.unique(
+        _labels(row, column, counts.shape), return_inverse=True, return_counts=True
+    )
+    weight = np.bincount(label, share)
+    low, high = np.full((len(size), 2), np.inf), np.full((len(size), 2), -np.inf)
+    points = np.stack([x, y], -1)
+    np.minimum.at(low, label, points)
+    np.maximum.at(high, label, points)
+    middle = np.stack([np.bincount(label, share * each) for each in (x, y)], -1) / weight[:, None]
+    is_long, is_there = (high - low).max(1, initial=0.0) > LONGEST, weight >= FEW
+    radius = np.maximum(np.linalg.norm(high - low, axis=1) / 2, LEAST_RADIUS)
+    discs = np.concatenate([middle, radius[:, None]], 1)
+    return discs[is_there & ~is_long], points[(is_there & is_long)[label]]
+
+
+def _labels(
+    row: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, ...]
+) -> NDArray[np.intp]:
+    """Return [K] equal numbers for cells that neighbours join."""
+    at = np.full((shape[0] + 2, shape[1] + 2), len(row))
+    at[row + 1, column + 1] = np.arange(len(row))
+    shifts = [(i, j) for i in range(3) for j in range(3)]
+    neighbours = np.stack([at[row + i, column + j] for i, j in shifts])
+    labels = np.append(np.arange(len(row)), -1)
+    while True:
+        joined = labels[neighbours].max(0, initial=-1)
+        if np.array_equal(joined, labels[:-1]):
+            return joined
+        labels[:-1] = joined
+
+
+def places_of(
+    raster: Raster, row: NDArray[np.intp], column: NDArray[np.intp]
+) -> tuple[FloatArray, FloatArray]:
+    """Return x and y of the middles of cells."""
+    return (
+        raster.extent[1] - (row + 0.5) * raster.cell,
+        raster.extent[3] - (column + 0.5) * raster.cell,
+    )
+
+
+def cells_at(
+    raster: Raster, x: FloatArray, y: FloatArray
+) -> tuple[BoolArray, NDArray[np.intp], NDArray[np.intp]]:
+    """Return whether places are in a raster, and their cells, or those nearest to them."""
+    rows, columns = raster.values.shape[1:]
+    row = np.floor((raster.extent[1] - x) / raster.cell).astype(np.intp)
+    column = np.floor((raster.extent[3] - y) / raster.cell).astype(np.intp)
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    return inside, row.clip(0, rows - 1), column.clip(0, columns - 1)
