@@ -54,6 +54,12 @@ Guarded = Annotated[
     bool,
     typer.Option("--guarded", help="Each bundle drives twice: then with its guard."),
 ]
+RouteDrives = Annotated[
+    bool,
+    typer.Option(
+        "--route-drives", help="Each bundle that has them drives also with drives along its route."
+    ),
+]
 Foreseeing = Annotated[
     bool,
     typer.Option(

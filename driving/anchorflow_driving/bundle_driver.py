@@ -18,6 +18,7 @@ import numpy as np
 from anchorflow_client.base_client import BaseClient
 from anchorflow_client.contract import (
     AnchorBatch,
+    GuardSpec,
     ModelCard,
     TruncatedDiffusionSpec,
     VocabularySpec,
@@ -92,6 +93,8 @@ class BundleDriver:
         self._others = [spec for spec in card.inputs if spec.name == OTHERS]
         self._follows_route = self._foresees = False
         self.predicts = FUTURES in extras
+        finish = card.finish
+        self.has_route_drives = isinstance(finish, GuardSpec) and finish.route_drives is not None
         self._draws_noise = not isinstance(card.sampler, VocabularySpec)
 
     def seeded(self, seed: int) -> BundleDriver:
@@ -108,6 +111,14 @@ class BundleDriver:
         other = copy(self)
         other._follows_route = True
         other.name = f"{self.name}_along_route"
+        return other
+
+    def route_drives(self) -> BundleDriver:
+        """Return this driver with the route as an input, and drives along it among the proposals:
+        one of a card that `has_route_drives`."""
+        other = self.along_route()
+        other._options = {**self._options, "refine": {"route_drives": True}}
+        other.name = f"{self.name}_route_drives"
         return other
 
     def guarded(self) -> BundleDriver:

@@ -101,6 +101,7 @@ def drive_closed_loop(
     bundle: options.DrivingBundles = None,
     along_route: options.AlongRoute = False,
     foreseeing: options.Foreseeing = False,
+    route_drives: options.RouteDrives = False,
     late_ms: options.Late = None,
     num: options.Num = 64,
     threads: options.Threads = None,
@@ -117,7 +118,10 @@ def drive_closed_loop(
     """Let drivers and bundles drive in SUMO's traffic; a table of what happened."""
     chosen: dict[str, Driver] = named_drivers(options.comma_separated(drivers), BASELINES)
     ours = open_drivers(bundle or [], num=num, threads=threads)
-    for each in ways_to_drive(ours, along_route=along_route, foreseeing=foreseeing):
+    ways = ways_to_drive(
+        ours, along_route=along_route, foreseeing=foreseeing, route_drives=route_drives
+    )
+    for each in ways:
         chosen[each.name] = each
     if keep is not None:
         keep.mkdir(parents=True, exist_ok=True)

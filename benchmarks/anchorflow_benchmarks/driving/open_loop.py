@@ -120,7 +120,12 @@ def open_drivers(
 
 
 def ways_to_drive(
-    drivers: Sequence[BundleDriver], *, along_route: bool, foreseeing: bool, guarded: bool = False
+    drivers: Sequence[BundleDriver],
+    *,
+    along_route: bool,
+    foreseeing: bool,
+    guarded: bool = False,
+    route_drives: bool = False,
 ) -> list[BundleDriver]:
     """Return each driver as it is, and as the options ask besides.
 
@@ -133,6 +138,7 @@ def ways_to_drive(
         plain = [driver, driver.along_route()] if along_route else [driver]
         ways += plain + ([way.guarded() for way in plain] if guarded else [])
         ways += [way.foreseeing() for way in plain if foreseeing and way.predicts]
+        ways += [driver.route_drives()] if route_drives and driver.has_route_drives else []
     return ways
 
 
@@ -372,6 +378,7 @@ def drive(
     along_route: options.AlongRoute = False,
     guarded: options.Guarded = False,
     foreseeing: options.Foreseeing = False,
+    route_drives: options.RouteDrives = False,
     late_ms: options.Late = None,
     num: options.Num = 64,
     samplers: options.Samplers = CARD,
@@ -392,7 +399,14 @@ def drive(
     chosen = named_drivers(options.comma_separated(drivers))
     asked = samplers.split(",")
     ours = open_drivers(bundle or [], num=num, samplers=asked, threads=threads)
-    for way in ways_to_drive(ours, along_route=along_route, guarded=guarded, foreseeing=foreseeing):
+    ways = ways_to_drive(
+        ours,
+        along_route=along_route,
+        guarded=guarded,
+        foreseeing=foreseeing,
+        route_drives=route_drives,
+    )
+    for way in ways:
         seeded = [way.seeded(seed) for seed in seeds or [0]]
         chosen |= {each.name: Entry(each) for each in seeded}
     for name, entry in list(chosen.items()):

@@ -189,15 +189,20 @@ class GuardSpec:
     """Seconds for which a safe anchor meets nothing; after them a stop on its path is possible."""
     guard: bool = False
     """Whether a request is guarded that does not say."""
+    route_drives: bool | None = None
+    """Whether drives along the route join, likewise; None if the planner has none."""
     kind: Literal["guard"] = "guard"
 
     def chosen(self, choice: RefineChoice) -> GuardSpec:
         """Return this finish as a request chooses it. Raises `InvalidRequest`."""
         for name in choice.given:
-            if name != "guard":
+            if name not in ("guard", "route_drives"):
                 message = "expected none, as anchors of a car are not fitted by splines"
                 raise InvalidRequest(message, f"refine.{name}")
-        return self if choice.guard is None else replace(self, guard=choice.guard)
+        if choice.route_drives is not None and self.route_drives is None:
+            message = "expected none, as this planner does not drive along a route by itself"
+            raise InvalidRequest(message, "refine.route_drives")
+        return replace(self, **choice.given)
 
 
 @dataclass(frozen=True)

@@ -204,6 +204,10 @@ class RefineChoice(CardChoice):
         bool | None,
         Flag("Say which trajectories of a car are safe, and make the last of them a stop."),
     ] = None
+    route_drives: Annotated[
+        bool | None,
+        Flag("Add drives along the route, and score all by what the planner perceives."),
+    ] = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,8 +194,9 @@ def _sampler(request: AnchorRequest, card: ModelCard) -> SamplerSpec:
 def _finish(request: AnchorRequest, card: ModelCard) -> FinishSpec:
     if isinstance(card.finish, RefineSpec):
         asked = request.refine or RefineChoice()
-        if asked.guard is not None:
-            raise _not_chosen(card, "refine.guard", card.finish.kind)
+        for name in ("guard", "route_drives"):
+            if getattr(asked, name) is not None:
+                raise _not_chosen(card, f"refine.{name}", card.finish.kind)
         finish = asked.over(card.finish)
         if asked.smooth is False and (finish.project or finish.barrier):
             moves = "project" if finish.project else "barrier"

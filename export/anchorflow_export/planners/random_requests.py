@@ -29,6 +29,7 @@ from anchorflow_models.transfuser import (
     TransfuserConfig,
 )
 from anchorflow_service.bundle.entries import AgentsEntry, GuardEntry, RasterEntry
+from anchorflow_trajectory.car.tracking import PLAN_TIMES
 
 CELLS_A_BLOB = 40  # cells of a map for each square obstacle
 SENSED = ("camera", "lidar")
@@ -136,6 +137,7 @@ def sensor_guard(backbone: TransfuserConfig, *, foretold: bool, lasts_s: float) 
     taken = RasterEntry("foretold", ahead, first_s=FORETOLD_S, step_s=FORETOLD_S)
     return GuardEntry(
         horizon_s=min(GUARD_HORIZON_S, lasts_s),
+        route_drives=False if foretold and lasts_s == PLAN_TIMES[-1] else None,
         size=NUPLAN_CAR,
         road=RasterEntry("bev_semantics", (0.0, reach, -reach, reach), complement_of=0),
         occupied=taken if foretold else None,

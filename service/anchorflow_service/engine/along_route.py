@@ -72,9 +72,9 @@ class AlongRoute:
         self, scores: Array, trajectories: Array, scene: ConditionedScene, context: Context
     ) -> tuple[Array, Array]:
         """Return scores [K+M] of trajectories [K+M,T,D]; the last M are drives along the route, if
-        there is one and the planner perceives enough to judge them."""
+        the request has one and asks for drives."""
         route = self._route(scene)
-        if route is None or self._drives is None:
+        if route is None or self._drives is None or not self._drives.are_asked(scene):
             return scores, trajectories
         return self._drives.among(scores, trajectories, route, scene, context)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from anchorflow_client.contract import GuardSpec
 from anchorflow_service.bundle.entries import STATUS, GuardEntry
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.guard import car_of, raster_of
@@ -43,12 +44,19 @@ class RouteDrives:
         self._entry = manifest.finish
 
     @staticmethod
+    def are_asked(scene: ConditionedScene) -> bool:
+        """Return whether a request has drives along its route."""
+        spec = scene.request.refine
+        return isinstance(spec, GuardSpec) and bool(spec.route_drives)
+
+    @staticmethod
     def is_possible(manifest: Manifest) -> bool:
         """Return whether a bundle plans 4 s and perceives road, LiDAR and predicted occupancy."""
         finish, time = manifest.finish, manifest.time
         times = time.first_s + (time.dt or 0.0) * np.arange(time.steps)
         return (
             isinstance(finish, GuardEntry)
+            and finish.route_drives is not None
             and finish.occupied is not None
             and LIDAR in {spec.name for spec in manifest.request.inputs}
             and np.array_equal(times, PLAN_TIMES)

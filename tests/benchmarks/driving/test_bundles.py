@@ -17,6 +17,7 @@ from anchorflow_benchmarks.driving.open_loop import (
     judge_drivers,
     open_drivers,
     proposal_figures,
+    ways_to_drive,
     write_plans,
 )
 from anchorflow_driving import bundle_driver
@@ -100,6 +101,17 @@ def test_who_takes_a_route_is_told_it_and_others_are_chosen_by_it() -> None:
         np.abs(window.view.route.project(alone.trajectories[:, -1, :2])[1]) < 0.5
     ).sum()
     np.testing.assert_array_equal(told(window), along.trajectories[along.best])
+
+
+def test_planners_that_have_route_drives_drive_with_them() -> None:
+    folders = [DEFAULT_BUNDLE.parent / name for name in ("goalflow", "wote")]
+    ours = open_drivers(folders, num=64, threads=1)
+    ways = ways_to_drive(ours, along_route=False, foreseeing=False, route_drives=True)
+    assert [way.name for way in ways] == ["goalflow", "wote", "wote_route_drives"]
+    window = Scenes(bend(0))[0]
+    alone, among = (way.propose(window) for way in ways[1:])
+    own = {way.tobytes() for way in alone.trajectories}
+    assert 8 < sum(way.tobytes() not in own for way in among.trajectories) < 64
 
 
 def test_who_draws_no_noise_has_one_name_for_all_seeds() -> None:

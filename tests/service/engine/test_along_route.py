@@ -12,7 +12,6 @@ from anchorflow_client.contract.batch import beside_route
 from anchorflow_client.sensors import ego_status, route_ahead
 from anchorflow_service.bundle import DEFAULT_BUNDLE
 from anchorflow_service.engine.along_route import differing, turned_from
-from anchorflow_service.engine.route_drives import RouteDrives
 from anchorflow_service.local import LocalClient
 from anchorflow_trajectory.car.course import Course
 
@@ -23,12 +22,6 @@ ASIDE = route_ahead([[0.0, 0.0], [80.0, 24.0]])
 @pytest.fixture(scope="module", params=MOST)
 def client(request: pytest.FixtureRequest) -> LocalClient:
     return LocalClient.of(DEFAULT_BUNDLE.parent / request.param, threads=1)
-
-
-@pytest.fixture
-def no_drives(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Answer what the network proposes alone."""
-    monkeypatch.setattr(RouteDrives, "among", lambda _, scores, ways, *__: (scores, ways))
 
 
 def plan(client: LocalClient, *, outputs: tuple[str, ...] = (), **asked: Any) -> AnchorBatch:
@@ -44,7 +37,6 @@ def plan(client: LocalClient, *, outputs: tuple[str, ...] = (), **asked: Any) ->
     return client.plan(inputs=inputs | asked, num_samples=most, seed=0, outputs=outputs)
 
 
-@pytest.mark.usefixtures("no_drives")
 def test_what_ends_beside_the_route_or_is_turned_from_it_loses_score(client: LocalClient) -> None:
     alone, told = plan(client), plan(client, route=ASIDE)
     assert "route" in alone.absent_inputs
@@ -102,7 +94,6 @@ def test_of_those_that_are_kept_the_last_differ() -> None:
     assert len({*differing(scores, ways, 150, alike=8).tolist()}) == 150
 
 
-@pytest.mark.usefixtures("no_drives")
 def test_along_a_route_the_longer_of_two_equals_is_better() -> None:
     client = LocalClient.of(DEFAULT_BUNDLE.parent / "diffusiondrive", threads=1)
     straight = route_ahead([[0.0, 0.0], [80.0, 0.0]])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from anchorflow_client import InvalidRequest
 from anchorflow_client.contract.batch import beside_route
 from anchorflow_client.sensors import ego_status, lidar_histogram, route_ahead
 from anchorflow_service.bundle import DEFAULT_BUNDLE, load_bundle
@@ -70,6 +71,7 @@ def test_answers_with_a_route_hold_drives_without_extras(name: str) -> None:
     most = client.engine.card.sampler.size  # type: ignore[union-attr]
     asked: dict[str, Any] = {"num_samples": most, "seed": 0, "outputs": [extra]}
     alone = client.plan(inputs=inputs, **asked)
+    asked["refine"] = {"route_drives": True}
     answer = client.plan(inputs={**inputs, "route": ROUTE}, **asked)
     assert len(answer.trajectories) == most
     assert (np.diff(answer.scores) <= 0).all()
@@ -78,5 +80,15 @@ def test_answers_with_a_route_hold_drives_without_extras(name: str) -> None:
     assert 8 <= is_drive.sum() < most
     ends = answer.trajectories[is_drive, -1, :2]
     assert (beside_route(ends, ROUTE) < 1.1).mean() > 0.6
-    (one,) = client.plan(inputs={**inputs, "route": ROUTE}, seed=0, num_samples=1).trajectories
+    asked["num_samples"] = 1
+    (one,) = client.plan(inputs={**inputs, "route": ROUTE}, **asked).trajectories
     np.testing.assert_array_equal(one, answer.trajectories[0])
+    without = client.plan(inputs=inputs, **asked)  # no route: no drives
+    np.testing.assert_array_equal(without.trajectories[0], alone.trajectories[0])
+
+
+def test_a_planner_without_drives_refuses_them() -> None:
+    client = LocalClient.of(BUNDLES / "goalflow", threads=1)
+    status = ego_status(command="straight", velocity=(8.0, 0.0), acceleration=(0.0, 0.0))
+    with pytest.raises(InvalidRequest, match=r"refine\.route_drives: expected none"):
+        client.plan(inputs={"ego_status": status}, refine={"route_drives": True})

@@ -130,6 +130,24 @@ def test_what_occupancy_explains_or_the_car_is_itself_is_no_thing() -> None:
     assert len(SmallThings.seen(now, None, taken((14.0, 18.0)), CAR).radii) == 1
 
 
+def test_a_wide_group_may_be_the_rear_of_a_vehicle_that_moves_on() -> None:
+    rear, before = lidar((10.0, 10.5, -0.8, 0.8)), lidar((6.0, 6.5, -0.8, 0.8))
+    assert not len(SmallThings.seen(rear, None, taken((12.5, 16.0)), CAR).radii)
+    assert len(
+        SmallThings.seen(lidar((10.0, 10.5, 0.0, 0.5)), None, taken((12.5, 16.0)), CAR).radii
+    )
+    unknown = SmallThings.seen(rear, before, FREE, CAR)
+    np.testing.assert_allclose(unknown.velocities, [[8.0, 0.0]])
+    person = lidar((10.0, 10.5, 0.0, 0.5)), lidar((6.0, 6.5, 0.0, 0.5))
+    np.testing.assert_allclose(SmallThings.seen(*person, FREE, CAR).velocities, [[0.0, 0.0]])
+
+
+def test_things_far_from_the_course_do_not_count() -> None:
+    places = np.array([[10.0, 0.0], [10.0, 30.0], [5.0, 2.0]])
+    near = SmallThings(places, np.zeros((3, 2)), np.ones(3)).near(STREET)
+    np.testing.assert_array_equal(near.places, places[[2, 0]])
+
+
 def test_single_points_are_noise_and_long_things_are_points() -> None:
     assert not len(SmallThings.seen(lidar((9.9, 10.2, 2.0, 2.3), count=0.2), None, FREE, CAR).radii)
     wall = SmallThings.seen(lidar((5.0, 15.0, 4.0, 4.5)), None, FREE, CAR)

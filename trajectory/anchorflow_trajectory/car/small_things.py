@@ -27,8 +27,10 @@ LONGEST = 2.5
 """m of a group; the points of a longer one are still things of their own."""
 LEAST_RADIUS, POINT_RADIUS = 0.3, 0.15
 """m, of a group and of a point."""
-MOVED, STILL = 3.0, 0.5
-"""m between two sweeps at most; m/s below which a group stands."""
+WIDE, MOVED_ON = 1.2, 3
+"""m of a group that may be a vehicle, and cells from predicted occupancy that explains it."""
+MOVED, STILL = (3.0, 8.0), 0.5
+"""m between two sweeps at most, of narrow and wide groups; m/s below which a group stands."""
 OWN_M = 0.2
 """m about the car in which points are its own."""
 BEHIND_M, AROUND_M = 3.0, 40.0
@@ -52,13 +54,11 @@ class SmallThings:
         before: None if there is no earlier sweep; then nothing moves
         taken: predicted occupancy, the first layer of which is nearly that of now
         """
-        about = sliding_window_view(np.pad(taken.values[0], 1), (3, 3))
-        known = about.max((2, 3)) > KNOWN
-        discs, points = _groups(now, known, taken, car)
+        discs, points = _groups(now, taken, car)
         velocities = np.zeros((len(discs), 2))
         if before is not None:
-            earlier, _ = _groups(before, known, taken, car)
-            velocities = _velocities(discs[:, :2], earlier[:, :2])
+            earlier, _ = _groups(before, taken, car)
+            velocities = _velocities(discs, earlier)
         discs = np.concatenate([discs, np.c_[points, np.full(len(points), POINT_RADIUS)]])
         velocities = np.concatenate([velocities, np.zeros_like(points)])
         near = np.hypot(discs[:, 0], discs[:, 1]) < AROUND_M
@@ -73,43 +73,55 @@ class SmallThings:
 
 
 def _velocities(now: FloatArray, before: FloatArray) -> FloatArray:
-    """Return the m/s [K,2] of places [K,2], by those of the sweep before [J,2]."""
-    velocities = np.zeros_like(now)
+    """Return the m/s [K,2] of discs [K,3], by those of the sweep before [J,3]."""
+    velocities = np.zeros((len(now), 2))
     if not (len(now) and len(before)):
         return velocities
-    apart = np.linalg.norm(now[:, None] - before, axis=-1)
+    apart = np.linalg.norm(now[:, None, :2] - before[:, :2], axis=-1)
+    wide = now[:, 2] > WIDE / 2
+    apart[wide[:, None] != (before[:, 2] > WIDE / 2)] = np.inf
     nearest, each = apart.argmin(1), np.arange(len(now))
-    same = (apart.argmin(0)[nearest] == each) & (apart[each, nearest] < MOVED)
-    velocities[same] = (now - before[nearest])[same] / SWEEPS_S
+    most = np.where(wide, MOVED[1], MOVED[0])
+    same = (apart.argmin(0)[nearest] == each) & (apart[each, nearest] < most)
+    velocities[same] = (now - before[nearest])[same, :2] / SWEEPS_S
     velocities[np.linalg.norm(velocities, axis=1) < STILL] = 0.0
     return velocities
 
 
-def _groups(
-    sweep: Raster, known: BoolArray, taken: Raster, car: Car
-) -> tuple[FloatArray, FloatArray]:
+def _groups(sweep: Raster, taken: Raster, car: Car) -> tuple[FloatArray, FloatArray]:
     """Return groups [K,3] as x, y, radius and the points [P,2] of longer ones."""
     counts = sweep.values[0]
     row, column = np.nonzero(counts)
     x, y = places_of(sweep, row, column)
     inside, above, left = cells_at(taken, x, y)
     own = (x < car.front + OWN_M) & (x > -car.rear - OWN_M) & (np.abs(y) < car.side + OWN_M)
-    rest = ~(inside & known[above, left]) & ~own & (x > -BEHIND_M)
+    rest = ~(inside & _known(taken, 1)[above, left]) & ~own & (x > -BEHIND_M)
     row, column, x, y = row[rest], column[rest], x[rest], y[rest]
     share = counts[row, column].astype(np.float64)
-    _, label, size = np.unique(
+    _, label, count = np.unique(
         _labels(row, column, counts.shape), return_inverse=True, return_counts=True
     )
     weight = np.bincount(label, share)
-    low, high = np.full((len(size), 2), np.inf), np.full((len(size), 2), -np.inf)
+    low, high = np.full((len(count), 2), np.inf), np.full((len(count), 2), -np.inf)
     points = np.stack([x, y], -1)
     np.minimum.at(low, label, points)
     np.maximum.at(high, label, points)
     middle = np.stack([np.bincount(label, share * each) for each in (x, y)], -1) / weight[:, None]
-    is_long, is_there = (high - low).max(1, initial=0.0) > LONGEST, weight >= FEW
+    size = (high - low).max(1, initial=0.0)
+    is_long, is_there = size > LONGEST, weight >= FEW
+    # The first layer is a little later than now, and vehicles have moved on.
+    inside, above, left = cells_at(taken, *middle.T)
+    is_wide = size > WIDE
+    is_there &= ~(is_wide & inside & _known(taken, MOVED_ON)[above, left])
     radius = np.maximum(np.linalg.norm(high - low, axis=1) / 2, LEAST_RADIUS)
     discs = np.concatenate([middle, radius[:, None]], 1)
     return discs[is_there & ~is_long], points[(is_there & is_long)[label]]
+
+
+def _known(taken: Raster, cells: int) -> BoolArray:
+    """Return which cells [H,W] are so near to others that are taken."""
+    about = sliding_window_view(np.pad(taken.values[0], cells), (2 * cells + 1,) * 2)
+    return about.max((2, 3)) > KNOWN
 
 
 def _labels(

@@ -61,6 +61,7 @@ export class RequestFields {
       if (block === "robot") return path in (card.conditioning.limits ?? {});
       if (path.startsWith("sampler.")) return hasMap && card.sampler.kind === "ode";
       if (path === "refine.guard") return card.finish.kind === "guard";
+      if (path === "refine.route_drives") return (card.finish.route_drives ?? null) !== null;
       if (path.startsWith("refine.")) return hasMap && card.finish.kind === "spline";
       return hasMap || !(path.includes(".") || ONLY_ON_MAPS.has(path));
     };
