@@ -32,6 +32,7 @@ from anchorflow_service.bundle.entries import (
     TruncatedDiffusionEntry,
     VisionLanguageEntry,
 )
+from anchorflow_service.bundle.manifest import GraphEntry
 from anchorflow_service.engine.interfaces import Arrays
 from anchorflow_trajectory.finish.refiner import DESCENT_RATE
 from anchorflow_trajectory.motion import MotionLimits
@@ -122,19 +123,18 @@ class PlannerAdapter:
     num_samples: int | None = None
     samplers: Sequence[SamplerChoice | None] = (None,)
 
-    def trace(self) -> dict[str, TracedGraph]:
-        """Export the graphs by role.
+    def trace(self, role: str, earlier: Mapping[str, TracedGraph | GraphEntry]) -> TracedGraph:
+        """Export one graph, which may read the outputs of earlier ones.
 
-        Raises `ExportError` if a graph cannot be traced, or holds only for the sizes of the trace.
+        Raises `ExportError` if it cannot be traced, or holds only for the sizes of the trace.
         """
-        graphs: dict[str, TracedGraph] = {}
         given = {spec.name: spec for spec in (*self.parts.inputs, *self.own)}
-        for name, role in self.roles.items():
-            inputs = tuple(given[each] for each in role.inputs)
-            graphs[name] = trace(role, inputs=inputs, outputs=role.outputs)
-            for spec in graphs[name].outputs:
+        for graph in earlier.values():
+            for spec in graph.outputs:
                 given.setdefault(spec.name, as_input(spec))
-        return graphs
+        module = self.roles[role]
+        inputs = tuple(given[each] for each in module.inputs)
+        return trace(module, inputs=inputs, outputs=module.outputs)
 
 
 def as_input(spec: TensorSpec) -> TensorSpec:

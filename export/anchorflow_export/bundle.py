@@ -60,10 +60,9 @@ def export_bundle(
     with into_place(out) as folder:
         parts = adapter.parts
         manifest = _manifest(parts, description)  # Refuse it before a minute of tracing.
-        graphs = {
-            role: write_graph(graph, folder / f"{role}.onnx")
-            for role, graph in adapter.trace().items()
-        }
+        graphs: dict[str, GraphEntry] = {}
+        for role in adapter.roles:  # one in memory at a time: a large one takes gigabytes
+            graphs[role] = write_graph(adapter.trace(role, graphs), folder / f"{role}.onnx")
         files = {
             role: _write_file(folder / name, data) for role, (name, data) in parts.files.items()
         }

@@ -66,12 +66,13 @@ def read_weights(
     _fold_normalisation(probe)
     last = max(int(place.max()) for place in places.values() if place.numel())
     found = np.full(last + 1 - FIRST, np.nan, np.float32)
-    for role, traced in adapter_of(planner, probe, ExportChoices()).trace().items():
-        if role in bundle.manifest.graphs:
-            for numbers, held in _matched(traced.model, onnx.load(bundle.graph_path(role))):
-                at = numbers.ravel().view(np.int32).astype(np.int64) - FIRST
-                known = (at >= 0) & (at < len(found))
-                found[at[known]] = held.ravel()[known]
+    adapter, graphs = adapter_of(planner, probe, ExportChoices()), bundle.manifest.graphs
+    for role in [each for each in adapter.roles if each in graphs]:
+        traced = adapter.trace(role, graphs).model
+        for numbers, held in _matched(traced, onnx.load(bundle.graph_path(role))):
+            at = numbers.ravel().view(np.int32).astype(np.int64) - FIRST
+            known = (at >= 0) & (at < len(found))
+            found[at[known]] = held.ravel()[known]
     values = torch.from_numpy(found)
     read = {name: values[place.long() - FIRST] for name, place in places.items()}
     anew = {name for name, value in read.items() if value.isnan().any()}

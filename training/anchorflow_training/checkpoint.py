@@ -66,9 +66,12 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint without running code from it; raises `CheckpointError`."""
+    """Read a checkpoint without running code from it; raises `CheckpointError`.
+
+    Its arrays stay in the file until they are used: few uses need the optimiser's.
+    """
     try:
-        saved = torch.load(path, map_location="cpu", weights_only=True)
+        saved = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: expected a checkpoint, found no file") from error
     except OSError as error:
