@@ -243,6 +243,28 @@ def test_where_few_anchors_are_safe_roomier_ways_are_found(engine: Engine) -> No
     assert np.mean(room) > 0.3
 
 
+def test_who_is_met_head_on_keeps_more_than_a_hand_s_breadth(engine: Engine) -> None:
+    """Anchors that end at the goal in time keep 0.04 m on average here."""
+    least = []
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        ahead, speed = rng.uniform(2.2, 3.4), rng.uniform(1.4, 1.9)
+        person = moving((ahead, rng.uniform(-0.3, 0.3), -rng.uniform(1.0, 1.6), 0.0), radius=0.25)
+        anchors = asked(
+            engine,
+            person,
+            cost_map={"data": np.zeros((1, CELLS, CELLS)), "resolution": RESOLUTION},
+            x_curr=[0.0, 0.0, speed, 0.0, 0.0, 0.0],
+            x_goal=[ahead + 0.4, rng.uniform(-0.8, 0.8), 0.0, 0.0],
+            v_max=2.0,
+            a_max=2.0,
+            horizon_s=(ahead + 0.4) / 1.5,
+        )
+        assert_kept(anchors, person)
+        least.append(gaps(anchors, person)[anchors.best])
+    assert np.mean(least) > 0.1
+
+
 def test_in_crowds_nothing_is_called_safe_wrongly(engine: Engine) -> None:
     safe = []
     for seed in range(6):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from anchorflow_trajectory import BoolArray, FloatArray
 from anchorflow_trajectory.cost.clearance import GridField
 from anchorflow_trajectory.cost.trajectory_cost import TrajectoryCost
-from anchorflow_trajectory.finish.beside import DODGE, FEW, STIFFER, best_beside
+from anchorflow_trajectory.finish.beside import DODGE, FEW, STIFFER, best_beside, is_close_call
 from anchorflow_trajectory.finish.certificate import is_one_motion, required_clearance
 from anchorflow_trajectory.finish.control_barrier import BETWEEN, ControlBarrier
 from anchorflow_trajectory.finish.optimisation_pass import OptimisationPass
@@ -76,8 +76,9 @@ class Refiner(SceneFinish):
             refined = self.measured(splines, cost, spec, found)
             is_one = is_one_motion(found, splines.duration, scene.ends, scene.motion)
             refined = replace(refined, safe=refined.safe & is_one)
-        is_hard = spec.project and (share < FEW or not refined.safe.any())
-        if scene.movers is not None and is_hard:
+        if scene.movers is None or not spec.project:
+            return refined
+        if share < FEW or not refined.safe.any() or is_close_call(self, refined):
             return best_beside(self, refined, spec, len(states))
         return refined
 

@@ -30,9 +30,6 @@ from anchorflow_trajectory.routes.splines import splines_through
 from anchorflow_trajectory.spline.basis import PLANE, Ends, SplineBasis, Splines
 
 MOST_WAYS, MOST_OTHERS = 8, 64
-EVASIVE_DIRECTIONS, EVASIVE_TIMES = 12, (0.7, 1.1, 1.8)  # s
-EVASIVE_SHARES = (0.5, 1.0)  # of what a robot covers smoothly from rest to rest in the time
-SMOOTH_REACH, SMOOTH_STOP = 0.17, 1.9  # a quintic's way / (a_max t^2), and its time a_max / speed
 END_ROOM, STAY = 0.15, 0.3  # m that what moves leaves to a place to end at, and s for which it does
 ASIDE, MOST_ASIDE, DIRECTIONS = 0.15, 3.0, 24  # m, m, and places a ring about a goal that is taken
 WHOLE_LATTICE = 2  # routes that get every manoeuvre; the others only slow down and wait
@@ -87,69 +84,6 @@ def ways_past(
     _, first = np.unique(keys[order], return_index=True)
     chosen = order[np.sort(first)[:MOST_WAYS]]
     return Ways(drawn[chosen], drawn[order[:MOST_OTHERS]])
-
-
-def evasions(basis: SplineBasis, ends: Ends, limits: MotionLimits) -> Splines:
-    """Return splines that step aside to places about the robot and wait there.
-
-    They have the start of `ends` and ends of their own, at rest.
-    """
-    position, velocity, acceleration = ends.x_curr.reshape(3, -1)[:, PLANE]
-    turns = np.linspace(0.0, 2.0 * np.pi, EVASIVE_DIRECTIONS, endpoint=False)
-    around = np.stack([np.cos(turns), np.sin(turns)], -1)
-    places, lasting = [], []
-    for quick in EVASIVE_TIMES:
-        slowest = max(quick, SMOOTH_STOP * float(np.linalg.norm(velocity)) / limits.a_max)
-        if limits.horizon_s is not None and slowest > limits.horizon_s:
-            continue
-        reach = SMOOTH_REACH * limits.a_max * slowest**2
-        stop = position + 0.4 * slowest * velocity
-        aside = [stop[None], *(stop + share * reach * around for share in EVASIVE_SHARES)]
-        places.append(np.concatenate(aside))
-        lasting.append(np.full(len(places[-1]), slowest))
-    if not places:
-        places, lasting = [position[None]], [np.array([limits.horizon_s])]
-    target, moving = np.concatenate(places), np.concatenate(lasting)
-    whole = moving + STAY if limits.horizon_s is None else np.full(len(moving), limits.horizon_s)
-    s = np.linspace(0.0, 1.0, basis.num_samples)
-    share = np.minimum(s * whole[:, None] / moving[:, None], 1.0)[..., None]
-    timed = _stopping(share, moving[:, None, None], position, velocity, acceleration, target)
-    # Ends are linear in the goal: it stays where it is for the fit, and is moved afterwards.
-    first = Ends(_planar(ends.x_curr, 3), np.concatenate([target[0], np.zeros(2)]))
-    unit = Ends(np.zeros(6), np.array([1.0, 1.0, 0.0, 0.0]))
-    step = basis.rest_curves(unit, np.ones(1))
-    away = (target - target[0]).astype(np.float32)
-    shape = basis.states(step)[0][0, :, 0]
-    fitted = basis.fit_positions(
-        (timed - shape[:, None] * away[:, None]).astype(np.float32), first, whole
-    )
-    control = fitted.control + step.control * away.T[:, :, None]
-    if len(ends.x_goal) // 2 == PLANE.stop:
-        return Splines(control, whole)
-    turned = basis.rest_curves(ends, whole)
-    turned.control[PLANE] = control
-    return turned
-
-
-def _stopping(
-    share: FloatArray,
-    moving: FloatArray,
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    target: FloatArray,
-) -> FloatArray:
-    """Return positions [N, T, 2] of quintics from a state to rest at targets [N, 2].
-
-    share: [N, T, 1] of the time `moving` [N, 1, 1] s
-    """
-    u, v, a = share, velocity * moving, acceleration * moving**2
-    left = target[:, None] - position - v - 0.5 * a
-    fast, hard = -v - a, -a
-    cubic = 10.0 * left - 4.0 * fast + 0.5 * hard
-    quartic = -15.0 * left + 7.0 * fast - hard
-    quintic = 6.0 * left - 3.0 * fast + 0.5 * hard
-    return position + u * (v + u * (0.5 * a + u * (cubic + u * (quartic + u * quintic))))
 
 
 def place_to_end(
@@ -266,10 +200,6 @@ def _lattice(
     duration = np.concatenate(lasting)
     splines = splines_through(np.concatenate(drawn), basis, ends, duration)
     return splines, np.concatenate(route)
-
-
-def _planar(states: FloatArray, fields: int) -> FloatArray:
-    return states.reshape(fields, -1)[:, PLANE].ravel()
 
 
 def _timing(usual: float, limits: MotionLimits) -> NDArray[np.float64]:
