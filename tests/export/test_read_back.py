@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from command_line import failure, succeed
-from exported_bundles import export_as_traced, export_once, quick_rewriting
+from exported_bundles import export_as_traced, export_once
 from small_v2x import small_sizes
 
 from anchorflow_client.contract import SamplerChoice, resolve_for_card
@@ -44,7 +44,7 @@ CASES = {
 def test_every_weight_of_a_graph_is_read(planner: str) -> None:
     made = export_once(planner)
     unused, rounded = CASES[planner]
-    with small_sizes(), quick_rewriting():
+    with small_sizes():
         model = planner_named(planner).create(made.network.config).eval()
         if planner == "v2x_vlm":
             model.tokenizer = made.network.tokenizer
@@ -111,8 +111,7 @@ def test_a_checkpoint_of_a_bundle_in_eight_bits(
     manifest = json.loads((rounded / "manifest.json").read_text())
     manifest["training"] = {"steps": 7, "config": {"model": asdict(made.network.config)}}
     (rounded / "manifest.json").write_text(json.dumps(manifest))
-    with quick_rewriting():
-        succeed("checkpoint", rounded, "--out", file)
+    succeed("checkpoint", rounded, "--out", file)
     assert load_checkpoint(file).step == 7
     got = weights_before(str(file), TrainerConfig(model=made.network.config))
     for name, wanted in made.network.state_dict().items():

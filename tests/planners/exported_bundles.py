@@ -10,8 +10,7 @@ import json
 import platform
 import shutil
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from fcntl import LOCK_EX, flock
 from functools import cache
@@ -27,7 +26,6 @@ import tiny_wote
 import torch
 from command_line import succeed
 from flowmp_scenes import open_branches
-from onnxscript.rewriter.pattern import RewriteRule
 from small_v2x import small_sizes, small_v2x
 from tiny_diffusiondrive import TINY, tiny_diffusiondrive
 from torch import nn
@@ -153,21 +151,6 @@ def small_futures() -> FuturesNetwork:
         return FuturesNetwork(FuturesConfig(width=16, map_channels=4))
 
 
-@contextmanager
-def quick_rewriting() -> Iterator[None]:
-    """Let onnxscript try its rules only at nodes of their operators: it finds the same, and an
-    export takes a tenth less time."""
-    tried = RewriteRule.try_rewrite
-
-    def at_its_operator(rule: Any, model: Any, graph: Any, node: Any, **options: Any) -> Any:
-        wanted = rule._target_pattern.output_nodes[0].op_identifier()
-        fits = wanted in (None, node.op_identifier())
-        return tried(rule, model, graph, node, **options) if fits else None
-
-    with patch.object(RewriteRule, "try_rewrite", at_its_operator):
-        yield
-
-
 def export_once(network: str) -> Exported:
     """Export a small network, PLANNER or PLANNER-OPTION, as `small-NETWORK`; as PREDICTING, put a
     small network that predicts the others into the GoalFlow that ships.
@@ -231,10 +214,9 @@ def _exported(network: str, folder: Path) -> Exported:
 def _export(network: str, made: Any, out: Path) -> tuple[Difference, ...]:
     if network == PREDICTING:
         shutil.copytree(DEFAULT_BUNDLE.parent / "goalflow", out)
-        with quick_rewriting():
-            return add_futures(made, out, training={"steps": 3}, version="9.0.0")
+        return add_futures(made, out, training={"steps": 3}, version="9.0.0")
     planner, name = network.partition("-")[0], f"small-{network.replace('_', '-')}"
     adapter = adapter_of(planner, made, CHOICES.get(network, ExportChoices()))
     description = BundleDescription(name=name, version="1.0.0", planner=planner)
-    with patch.multiple(ways, **UNROLLED), quick_rewriting():
+    with patch.multiple(ways, **UNROLLED):
         return export_bundle(adapter, description, out=out)
