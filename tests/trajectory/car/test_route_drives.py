@@ -38,7 +38,7 @@ def test_a_drive_joins_its_path_and_turns_as_it_moves() -> None:
 def test_bends_limit_the_speed_and_are_braked_for() -> None:
     angle = np.linspace(0.0, np.pi / 2, 60)
     bend = 20.0 * np.array([[1.0, 0.0]]) + 10.0 * np.stack([np.sin(angle), 1 - np.cos(angle)], -1)
-    course = Course(np.concatenate([[[0.0, 0.0]], bend, bend[-1:] + [[0.0, 60.0]]]))
+    course = Course(np.concatenate([[[0.0, 0.0]], bend, bend[-1:] + np.array([0.0, 60.0])]))
     drive = route_drives(course, 10.0, top_speed=12.0)[CENTRE]
     place, _ = course.project(drive[:, :2])
     speed = np.diff(place) / 0.5
