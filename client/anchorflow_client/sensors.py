@@ -200,7 +200,7 @@ def route_ahead(points: ArrayLike) -> Floats:
     return (places + beyond).astype(np.float32)
 
 
-def _arm(apart: Floats, along: Floats) -> int:
+def _arm(apart: NDArray[np.floating], along: NDArray[np.floating]) -> int:
     """Return which edge [E] of a route a car is on: the nearest one; where the route comes back to
     the car, the nearest of the arm that leads its way.
 
