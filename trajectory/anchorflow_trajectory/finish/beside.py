@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
@@ -51,11 +52,8 @@ def best_beside(finish: SceneFinish, refined: Refined, spec: Refinement, count: 
     if finish.scene.is_touched:
         return refined
     found = [refined] if refined.safe.any() else [*_dodging(finish, spec, count)]
-    for each in _in_time(finish, spec, count):
-        found.append(each)
-        if not is_close_call(finish, each):
-            break
-    else:
+    found += islice(_in_time(finish, spec, count), 1)  # the first that is safe
+    if all(is_close_call(finish, each) for each in found):
         found += _evading(finish, spec, count)
     found = [_wary(finish, each) for each in found]
     return max(found, key=lambda each: _worth(finish, each), default=refined)
@@ -152,6 +150,8 @@ def _gaps(
     assert movers is not None
     paths, lasting = refined.positions[which, :, :2], refined.duration[which]
     times = np.linspace(0.0, 1.0, paths.shape[1]) * lasting[:, None]
+    soon = (times <= SOON_S).any(0)
+    paths, times = paths[:, soon], times[:, soon]
     now = least = np.full(len(paths), np.inf)
     discs = Discs.of(movers, np.float64)
     leg = np.minimum((times / movers.step_s).astype(int), discs.lines.shape[1] - 1)
