@@ -94,7 +94,7 @@ def measured(name: str, folder: Path, threads: int) -> Row:
     config = EXAMPLES / f"{told.file}-published.yaml"
     trained = run("train", data, "--config", config, "--out", saved.parent, *once)
     proof, exported = output_of("export", saved, *told.export, "--out", folder / "bundle")
-    checkpoint, bundle = load_checkpoint(saved), load_bundle(folder / "bundle")
+    checkpoint, bundle = load_checkpoint(saved, in_file=True), load_bundle(folder / "bundle")
     graphs, model = bundle.manifest.graphs, restore_model(checkpoint)
     return {
         "configuration": name,

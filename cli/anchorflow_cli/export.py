@@ -102,7 +102,7 @@ def export(
     ] = False,
 ) -> None:
     """Trace a trained planner to ONNX, prove that both agree, and write the bundle."""
-    saved = load_checkpoint(checkpoint)
+    saved = load_checkpoint(checkpoint, in_file=True)
     model = restore_model(saved)
     asked = {
         "sampler": method or schedule,

@@ -65,13 +65,14 @@ def save_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         raise CheckpointError(f"{path}: expected a place to write ({why})") from error
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
+def load_checkpoint(path: Path, *, in_file: bool = False) -> Checkpoint:
     """Read a checkpoint without running code from it; raises `CheckpointError`.
 
-    Its arrays stay in the file until they are used: few uses need the optimiser's.
+    in_file: arrays stay in the file until they are used, which saves the optimiser's gigabytes;
+        whoever then writes into that file ends this process
     """
     try:
-        saved = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
+        saved = torch.load(path, map_location="cpu", weights_only=True, mmap=in_file)
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: expected a checkpoint, found no file") from error
     except OSError as error:
