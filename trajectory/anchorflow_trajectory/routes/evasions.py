@@ -30,7 +30,7 @@ def evasions(basis: SplineBasis, ends: Ends, limits: MotionLimits) -> Splines:
     begun, drive = _drives(position, velocity, limits, whole, round(change / TICK_S))
     tick = np.linspace(0.0, whole / TICK_S, basis.num_samples)
     low = np.minimum(tick.astype(int), drive.shape[1] - 2)
-    share = (tick - low)[:, None]
+    share = (tick - low)[:, None]  # beyond 1 where the drives go on evenly
     places = (1.0 - share) * drive[:, low] + share * drive[:, low + 1]
     ended = (drive[:, low[-1] + 1] - drive[:, low[-1]]) / TICK_S
     # A spline is linear in its ends: those of each are taken off for the fit and added afterwards.
@@ -56,7 +56,7 @@ def _drives(
     """Return accelerations [N, 2] at the start, and places [N, S, 2] at ticks, of manoeuvres.
 
     The first brakes straight on. The others push to a side; half of them then brake, and half keep
-    their speed.
+    their speed. From the last tick on, all move as in it.
 
     change: ticks in which an acceleration changes
     """
@@ -75,7 +75,8 @@ def _drives(
     now = velocity + 0.5 * blur * begun
     before = TICK_S * np.arange(-change, 0)[:, None, None]
     places = [*(at + before * now + 0.5 * before**2 * begun), at]
-    for time in np.arange(0.0, lasting + TICK_S, TICK_S):
+    last = min(lasting, max(PUSHES_S) + most / hard + blur)
+    for time in np.arange(0.0, last + TICK_S, TICK_S):
         pushed = now + TICK_S * hard * pushes
         pushed *= np.minimum(1.0, most / np.maximum(_lengths(pushed), TINY))
         kept = np.maximum(1.0 - TICK_S * hard / np.maximum(_lengths(now), TINY), 0.0)
