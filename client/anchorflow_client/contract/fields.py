@@ -206,7 +206,7 @@ class RefineChoice(CardChoice):
     ] = None
     route_drives: Annotated[
         bool | None,
-        Flag("Add drives along the route, and score all by what the planner perceives."),
+        Flag("Put drives along the route first, ordered by what the planner perceives."),
     ] = None
 
 

@@ -1,5 +1,5 @@
-"""Drives along a request's route, for cars that see by sensors: as candidates, and all by what the
-planner perceives."""
+"""Drives along a request's route, for cars that see by sensors: before the planner's trajectories,
+and ordered by what it perceives."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from anchorflow_client.contract import GuardSpec
 from anchorflow_service.bundle.entries import STATUS, GuardEntry
 from anchorflow_service.bundle.manifest import Manifest
 from anchorflow_service.engine.guard import car_of, raster_of
-from anchorflow_service.engine.interfaces import Array, ConditionedScene, Context, best
+from anchorflow_service.engine.interfaces import Array, ConditionedScene, Context
 from anchorflow_service.engine.late import ACCELERATION, speed_of, yaw_rate_of
 from anchorflow_trajectory.car.course import Course
 from anchorflow_trajectory.car.outlook import Sight, worth
@@ -20,14 +20,8 @@ from anchorflow_trajectory.guard.faults import Raster
 
 LIDAR, LIDAR_BEFORE = "lidar", "lidar_before"
 LIDAR_EXTENT = (-32.0, 32.0, -32.0, 32.0)
-WEIGHT, LEAST = 0.3, 1e-9
-"""Of the worth's logarithm in a score, and what is added to the worth."""
-PREFERRED = 0.1
-"""Score of a drive above that of the best trajectory."""
 WHEELBASE = 0.5968
 """In lengths, as `anchorflow_driving.window` has it."""
-LIKELY = 8
-"""Trajectories, the best of which say how fast to drive."""
 SLOWEST, FASTEST = 8.0, 15.0
 """m/s between which the top speed is."""
 SHORTEST = 3.0
@@ -37,7 +31,7 @@ SHARPEST = 0.25
 
 
 class RouteDrives:
-    """Adds drives along a route to trajectories, and scores all by what they meet."""
+    """Adds drives along a route to trajectories, and scores the drives by what they meet."""
 
     def __init__(self, manifest: Manifest) -> None:
         assert isinstance(manifest.finish, GuardEntry)
@@ -72,24 +66,22 @@ class RouteDrives:
     ) -> tuple[Array, Array]:
         """Return scores [K + M] and trajectories [K + M,T,3], the last M of which are drives.
 
-        A drive has PREFERRED more than the best of the trajectories; all get the logarithm of their
-        worth.
+        A drive has the best score of the trajectories, and the logarithm of how often it is worth
+        the worst drive.
         """
         course, speed = Course(route), max(speed_of(scene), 0.0)
         drives = self._drives(scores, trajectories.astype(np.float64), course, speed)
+        value = self._worth(drives, course, speed, scene, context)
+        known = np.concatenate([scores, scores.max() + np.log(value / value.min())])
         plans = np.concatenate([trajectories, drives])
-        known = np.concatenate([scores, np.full(len(drives), scores.max() + PREFERRED)])
-        value = self._worth(plans, course, speed, scene, context)
-        known = known + WEIGHT * np.log(value + LEAST)
         return known.astype(scores.dtype), plans.astype(trajectories.dtype)
 
     def _drives(self, scores: Array, plans: Array, course: Course, speed: float) -> Array:
         """Return drives [M,8,3]: along the route, braking along the best plan, and standing."""
-        last = plans[best(scores, LIKELY), -2:, :2]
-        fastest = np.linalg.norm(last[:, 1] - last[:, 0], axis=-1).max() / PLAN_TIMES[0]
-        top_speed = float(np.clip(fastest, SLOWEST, FASTEST))
-        drives = [route_drives(course, speed, top_speed=top_speed)]
         own = np.concatenate([np.zeros((1, 2)), plans[scores.argmax(), :, :2]])
+        last = np.linalg.norm(own[-1] - own[-2]) / PLAN_TIMES[0]
+        top_speed = float(np.clip(last, SLOWEST, FASTEST))
+        drives = [route_drives(course, speed, top_speed=top_speed)]
         if np.linalg.norm(np.diff(own, axis=0), axis=1).sum() > SHORTEST:
             path = Course(own)
             drives.append(route_drives(path, speed, top_speed=top_speed, offsets=(0.0,)))

@@ -12,8 +12,8 @@ RATES = (1.5, 0.75, 0.0, -0.75, -1.5, -2.5, -4.0, -6.0)
 """m/s²."""
 OFFSETS = (0.0, -1.0, 1.0)
 """m to the left of the course."""
-LATERAL, INTO_BENDS, LEAST_BRAKING = 2.0, 1.5, 3.0
-"""m/s²: sideways in bends, of braking before them, and of braking if the car is too fast."""
+IN_BENDS = 2.0
+"""m/s²: sideways in bends, and of braking before them."""
 JOIN_M, JOIN_S = 8.0, 1.5
 """The way on which a car joins its path: metres, or seconds at its speed if that is longer."""
 STRIDE = 5
@@ -52,16 +52,16 @@ def _ways(course: Course, start: float, speed: float, top_speed: float) -> Array
     marks, heading = course.arc_length, course.heading
     before, after = (np.interp(marks + away, marks, heading) for away in (-HALF_BEND, HALF_BEND))
     bend = np.abs(after - before) / (2 * HALF_BEND)
-    fits = np.minimum(np.sqrt(LATERAL / np.maximum(bend, STRAIGHT)), top_speed)
+    fits = np.minimum(np.sqrt(IN_BENDS / np.maximum(bend, STRAIGHT)), top_speed)
     spacing = marks[1]
     for index in range(len(fits) - 2, -1, -1):
-        fits[index] = min(fits[index], np.sqrt(fits[index + 1] ** 2 + 2 * INTO_BENDS * spacing))
+        fits[index] = min(fits[index], np.sqrt(fits[index + 1] ** 2 + 2 * IN_BENDS * spacing))
     rates = np.array(RATES)
     way, speeds = np.zeros((len(rates), STEPS + 1)), np.full(len(rates), speed)
     for step in range(STEPS):
         most = np.interp(start + way[:, step], marks, fits)
         wanted = speeds + rates * FRAME_S
-        slower = np.maximum(np.minimum(wanted, speeds - LEAST_BRAKING * FRAME_S), most)
+        slower = np.maximum(np.minimum(wanted, speeds - IN_BENDS * FRAME_S), most)
         speeds = np.maximum(np.where(wanted > most, slower, wanted), 0.0)
         way[:, step + 1] = way[:, step] + speeds * FRAME_S
     return way

@@ -23,18 +23,13 @@ KNOWN = 0.35
 """Predicted occupancy near a point from which on it is explained."""
 FEW = 0.35
 """Sum of a group's cells, each in [0, 1], below which it is noise."""
-LONGEST = 2.5
-"""m of a group; the points of a longer one are still things of their own."""
-LEAST_RADIUS, POINT_RADIUS = 0.3, 0.15
-"""m, of a group and of a point."""
 WIDE, MOVED_ON = 1.2, 3
-"""m of a group that may be a vehicle, and cells from predicted occupancy that explains it."""
+"""m of a group that may be a vehicle and whose points are things of their own, and cells from
+predicted occupancy that explains it."""
 MOVED, STILL = (3.0, 8.0), 0.5
 """m between two sweeps at most, of narrow and wide groups; m/s below which a group stands."""
-OWN_M = 0.2
-"""m about the car in which points are its own."""
-BEHIND_M, AROUND_M = 3.0, 40.0
-"""m behind the rear axle from which on, and m from it up to which things count."""
+AROUND_M = 40.0
+"""m from the rear axle up to which things count; those behind it do not."""
 BESIDE_M, MOST = 8.0, 128
 """m beside a course up to which things are near it, and how many of them count."""
 
@@ -54,15 +49,16 @@ class SmallThings:
         before: None if there is no earlier sweep; then nothing moves
         taken: predicted occupancy, the first layer of which is nearly that of now
         """
-        discs, points = _groups(now, taken, car)
+        discs, points, group = _groups(now, taken, car)
         velocities = np.zeros((len(discs), 2))
         if before is not None:
-            earlier, _ = _groups(before, taken, car)
-            velocities = _velocities(discs, earlier)
-        discs = np.concatenate([discs, np.c_[points, np.full(len(points), POINT_RADIUS)]])
-        velocities = np.concatenate([velocities, np.zeros_like(points)])
-        near = np.hypot(discs[:, 0], discs[:, 1]) < AROUND_M
-        return cls(discs[near, :2], velocities[near], discs[near, 2])
+            velocities = _velocities(discs, _groups(before, taken, car)[0])
+        narrow = discs[:, 2] <= WIDE / 2
+        places = np.concatenate([discs[narrow, :2], points])
+        velocities = np.concatenate([velocities[narrow], velocities[group]])
+        radii = np.concatenate([discs[narrow, 2], np.full(len(points), now.cell / 2)])
+        near = np.hypot(*places.T) < AROUND_M
+        return cls(places[near], velocities[near], radii[near])
 
     def near(self, course: Course) -> SmallThings:
         """Return those near a course, at most MOST of them, the nearest to the car."""
@@ -88,34 +84,40 @@ def _velocities(now: FloatArray, before: FloatArray) -> FloatArray:
     return velocities
 
 
-def _groups(sweep: Raster, taken: Raster, car: Car) -> tuple[FloatArray, FloatArray]:
-    """Return groups [K,3] as x, y, radius and the points [P,2] of longer ones."""
-    counts = sweep.values[0]
-    row, column = np.nonzero(counts)
+def _groups(
+    sweep: Raster, taken: Raster, car: Car
+) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+    """Return groups [K,3] as x, y, radius; the points [P,2] of wide ones, and whose they are [P].
+
+    A group is explained if predicted occupancy is next to half of its points; a wide one also if
+    it is near the group's middle, since the first layer is a little later than the sweep.
+    """
+    row, column = np.nonzero(sweep.values[0])
     x, y = places_of(sweep, row, column)
-    inside, above, left = cells_at(taken, x, y)
-    own = (x < car.front + OWN_M) & (x > -car.rear - OWN_M) & (np.abs(y) < car.side + OWN_M)
-    rest = ~(inside & _known(taken, 1)[above, left]) & ~own & (x > -BEHIND_M)
-    row, column, x, y = row[rest], column[rest], x[rest], y[rest]
-    share = counts[row, column].astype(np.float64)
-    _, label, count = np.unique(
-        _labels(row, column, counts.shape), return_inverse=True, return_counts=True
-    )
-    weight = np.bincount(label, share)
+    rest = (x > 0.0) & ((x > car.front) | (np.abs(y) > car.side))
+    row, column, points = row[rest], column[rest], np.stack([x, y], -1)[rest]
+    _, label = np.unique(_labels(row, column, sweep.values.shape[1:]), return_inverse=True)
+    share = sweep.values[0][row, column].astype(np.float64)
+    count, weight = np.bincount(label), np.bincount(label, share)
     low, high = np.full((len(count), 2), np.inf), np.full((len(count), 2), -np.inf)
-    points = np.stack([x, y], -1)
     np.minimum.at(low, label, points)
     np.maximum.at(high, label, points)
-    middle = np.stack([np.bincount(label, share * each) for each in (x, y)], -1) / weight[:, None]
-    size = (high - low).max(1, initial=0.0)
-    is_long, is_there = size > LONGEST, weight >= FEW
-    # The first layer is a little later than now, and vehicles have moved on.
-    inside, above, left = cells_at(taken, *middle.T)
-    is_wide = size > WIDE
-    is_there &= ~(is_wide & inside & _known(taken, MOVED_ON)[above, left])
-    radius = np.maximum(np.linalg.norm(high - low, axis=1) / 2, LEAST_RADIUS)
-    discs = np.concatenate([middle, radius[:, None]], 1)
-    return discs[is_there & ~is_long], points[(is_there & is_long)[label]]
+    middle = np.stack([np.bincount(label, share * each) / weight for each in points.T], -1)
+    size = high - low + sweep.cell
+    radius = np.linalg.norm(size, axis=1) / 2
+    wide = radius > WIDE / 2
+    explained = np.bincount(label, _is_known(taken, points, 1)) > count / 2
+    explained |= wide & _is_known(taken, middle, MOVED_ON)
+    there = (weight >= FEW) & ~explained
+    discs, of = np.concatenate([middle, radius[:, None]], 1)[there], np.cumsum(there) - 1
+    kept = (there & wide)[label]
+    return discs, points[kept], of[label[kept]]
+
+
+def _is_known(taken: Raster, places: FloatArray, cells: int) -> BoolArray:
+    """Return whether predicted occupancy is so near to places [K,2]."""
+    inside, row, column = cells_at(taken, *places.T)
+    return inside & _known(taken, cells)[row, column]
 
 
 def _known(taken: Raster, cells: int) -> BoolArray:
