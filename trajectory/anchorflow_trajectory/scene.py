@@ -58,6 +58,10 @@ NUM_STEPS = 64
 BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 HURRY, CLOSE = 0.94, 0.05  # share of v_max of ways over places and times, and m that they keep
+DETOUR, LEAST_DETOUR = (
+    0.3,
+    3.0,
+)  # of the shortest way, and m, that ways in space and time are longer
 RESERVE = 1.1  # times the shortest way, which the cruise of a horizon covers
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back
@@ -248,8 +252,10 @@ class Scene:
             motion = replace(
                 motion, horizon_s=nominal_duration(self.shortest_way, motion) + WAITS[0]
             )
-        start = self.x_curr[:2], self.x_curr[dim : dim + 2]
-        found = SpaceTime.of(self.cost_fields, motion, *start, hurry=hurry, room=room)
+        ends = self.x_curr[:2], self.x_curr[dim : dim + 2], self.x_goal[:2]
+        longest = self.shortest_way + max(DETOUR * self.shortest_way, LEAST_DETOUR)
+        fields = self.cost_fields
+        found = SpaceTime.of(fields, motion, *ends, longest=longest, hurry=hurry, room=room)
         return found, motion
 
     @property

@@ -24,6 +24,8 @@ def searched(
     radius: float = RADIUS,
     horizon_s: float = 6.0,
     speed: float = 0.0,
+    goal: np.ndarray = GOAL,
+    longest: float = 12.0,
 ) -> tuple[SpaceTime, CostFields]:
     """Return the lattice from START at `speed` m/s towards +x, and the fields that it is in."""
     occupied = np.zeros((SIDE, SIDE), bool) if walls is None else walls
@@ -33,7 +35,8 @@ def searched(
     origin = np.full(2, -0.5 * SIDE * CELL)
     fields = CostFields(GridField(field, CELL, origin), None, movers)
     limits, velocity = MotionLimits(2.0, 2.0, horizon_s), np.array([speed, 0.0])
-    return SpaceTime.of(fields, limits, START, velocity, hurry=0.94, room=0.05), fields
+    ends, sizes = (START, velocity, goal), {"longest": longest, "hurry": 0.94, "room": 0.05}
+    return SpaceTime.of(fields, limits, *ends, **sizes), fields
 
 
 def ways(lattice: SpaceTime, goal: np.ndarray = GOAL) -> np.ndarray:
@@ -49,6 +52,18 @@ def nearest(way: np.ndarray, fields: CostFields, horizon_s: float) -> float:
         for place, time in zip(way, times, strict=True)
         for j in range(len(discs.radius))
     )
+
+
+def test_ways_up_to_a_length_stay_on_it_and_much_longer_ones_do_not() -> None:
+    goal = START + np.array([1.5, 1.0])
+    searched_in, fields = searched(goal=goal, longest=4.0)
+    upper = searched_in.origin + searched_in.size * (np.array(searched_in.costs.shape[1:]) - 1)
+    low = fields.clearance.origin
+    places = np.random.default_rng(0).uniform(low, -low, (20_000, 2))
+    length = sum(np.linalg.norm(places - end, axis=-1) for end in (START, goal))
+    over = np.maximum(searched_in.origin - places, places - upper).max(-1)
+    assert over[length <= 4.0].max() < searched_in.size
+    assert (over[length > 6.0] > 0.0).mean() > 0.9
 
 
 def test_nothing_in_the_way_is_passed_straight_and_evenly() -> None:

@@ -25,7 +25,7 @@ from anchorflow_trajectory.movers import Discs, place_at
 Nodes = NDArray[np.int64]
 Costs = NDArray[np.float32]
 
-MOST_NODES, LEAST_SIZE = 96, 0.04  # a side of the lattice, and m of its cells
+MOST_NODES, LEAST_SIZE = 72, 0.04  # a side of the lattice, and m of its cells
 FAR = 4  # nodes that a robot in a hurry goes on in a layer
 LEAST_LAYERS, MOST_LAYERS = 8, 64
 ROOM_STILL = 0.03  # m that a way keeps from what stands still
@@ -74,19 +74,24 @@ class SpaceTime:
         limits: MotionLimits,
         start: FloatArray,
         velocity: FloatArray,
+        goal: FloatArray,
         *,
+        longest: float,
         hurry: float,
         room: float,
     ) -> SpaceTime:
         """Sweep a lattice from a start [2] m with a velocity [2] m/s, up to the horizon.
 
+        longest: m, of ways to the goal [2] m that stay on the lattice
         hurry: share of v_max that ways reach
         room: m that ways keep from what moves
         """
         assert limits.horizon_s is not None
         field, reach = fields.clearance, hurry * limits.v_max * limits.horizon_s
         corner = field.origin + field.resolution * np.array(field.values.shape[::-1])
-        low, high = np.maximum(field.origin, start - reach), np.minimum(corner, start + reach)
+        low, high = _passed_by(start, goal, longest)
+        low = np.maximum(np.maximum(field.origin, low), start - reach)
+        high = np.minimum(np.minimum(corner, high), start + reach)
         size = max(float((high - low).max()) / MOST_NODES, LEAST_SIZE)
         size = min(size, reach / (FAR * LEAST_LAYERS))
         layers = min(round(reach / (FAR * size)), MOST_LAYERS)
@@ -169,6 +174,14 @@ class SpaceTime:
             at = at[0] + x, at[1] + y
             way.append(at)
         return way
+
+
+def _passed_by(start: FloatArray, goal: FloatArray, longest: float) -> FloatArray:
+    """Return the corners [2, 2] of a box that holds all ways up to a length: an ellipse's."""
+    middle, across = 0.5 * (start + goal), goal - start
+    # The half axes are longest / 2 along the line and sqrt(longest^2 - |across|^2) / 2 beside it.
+    half = 0.5 * np.sqrt(np.maximum(longest**2 - across[::-1] ** 2, 0.0))
+    return np.stack([middle - half, middle + half])
 
 
 def _ground(
