@@ -58,10 +58,7 @@ NUM_STEPS = 64
 BALANCED, LEANING, EMPHASIS = 0.42, 0.5, 3.0
 COST_PENALTY = 3.0  # m of detour that one metre through soft cost 1 is worth
 HURRY, CLOSE = 0.94, 0.05  # share of v_max of ways over places and times, and m that they keep
-DETOUR, LEAST_DETOUR = (
-    0.3,
-    3.0,
-)  # of the shortest way, and m, that ways in space and time are longer
+DETOUR, LEAST_DETOUR = 0.3, 3.0  # of the shortest way, and m, that ways over time are longer
 RESERVE = 1.1  # times the shortest way, which the cruise of a horizon covers
 LONGEST_STRETCH = 3.0  # of the reference time, that anchors last as a rule
 FIRST_GAIN = 0.2  # of an acceleration's effect in one span is what shows before it is taken back

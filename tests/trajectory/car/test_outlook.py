@@ -122,9 +122,10 @@ def test_of_plans_that_all_hit_something_the_one_that_brakes_hardest_is_best() -
 
 
 def test_a_plan_off_the_course_is_worth_less() -> None:
-    away = DRIVES[:1] + np.linspace(0.0, 1.0, 8)[:, None] * [0.0, 4.0, 0.0]
-    on, off = values(CLEAR, drives=np.concatenate([DRIVES[:1], away]))
+    away = np.linspace(0.0, 1.0, 8)[:, None] * np.array([[[0.0, m, 0.0]] for m in (0.0, 4.0, 8.0)])
+    on, off, further = values(CLEAR, drives=DRIVES[:1] + away)
     assert off < 0.5 * on
+    assert further < 0.5 * off
 
 
 def lidar(*boxes: tuple[float, float, float, float], count: float = 1.0) -> Raster:
