@@ -290,6 +290,24 @@ def test_texts_and_tensors_have_fields_too(patched: Callable[..., Any]) -> None:
     assert plan(visit).asked["inputs"]["lidar"] == [[[1, 2]]]
 
 
+def test_plan_may_be_pressed_while_the_page_looks_for_a_sample(
+    open_page: Callable[..., Any], served_all: Any
+) -> None:
+    visit = open_page(served_all.url)
+    visit.wait_for_anchors()
+    held: list[Any] = []
+    visit.page.route("**/page/samples/*.json", lambda route: held.append(route), times=1)  # noqa: PLW0108
+    visit.locate("#bundle").select_option("tiny-camera")
+    visit.locate("#plan").click()
+    expect(visit.locate("#summary")).to_contain_text("6 anchors")
+
+    with visit.page.expect_response("**/page/samples/crossing.json"):
+        held.pop().continue_()
+    visit.page.wait_for_timeout(300)
+
+    expect(visit.locate("#summary")).to_contain_text("6 anchors")
+
+
 def test_a_picture_of_known_extent_lies_under_the_anchors(patched: Callable[..., Any]) -> None:
     def place(card: dict[str, Any]) -> None:
         card["answer"]["extras"][1]["extent"] = [0, 10, -4, 4]

@@ -25,6 +25,8 @@ export class TensorView extends AnchorView {
   options = {};
   /** Counts changes of what is asked. */
   version = 0;
+  /** Whether anything has been asked of the planner on the card. */
+  #hasAsked = false;
 
   constructor({ planner, form }) {
     super(new BirdsEye(byId("birds-eye")), byId("birds-eye-legend"), END);
@@ -48,6 +50,7 @@ export class TensorView extends AnchorView {
 
   useCard(card) {
     Object.assign(this, { card, active: true });
+    this.#hasAsked = false;
     this.options = this.form.fields.defaults(card);
     this.clear();
     Object.assign(this.surface.show, { raster: null });
@@ -66,9 +69,9 @@ export class TensorView extends AnchorView {
     this.active = false;
   }
 
-  /** Nothing is asked of a planner that would see nothing. */
+  /** Nothing is asked of a planner that would see nothing; who has pressed Plan meanwhile knows. */
   hasNoSample() {
-    say("No sample fits this planner: fill in what it sees and press Plan.");
+    if (!this.#hasAsked) say("No sample fits this planner: fill in what it sees and press Plan.");
   }
 
   /** Take options of the form. */
@@ -82,6 +85,7 @@ export class TensorView extends AnchorView {
   /** The request with the inputs as they are now; without a body if one of them has no value. */
   question() {
     const { card, options, version } = this;
+    this.#hasAsked = true;
     const { values: inputs, wrong } = this.inputs.values();
     if (wrong) {
       say(`Not asked. ${wrong}.`);
