@@ -37,11 +37,11 @@ serve: $(VENV)/.service  ## Serve the default bundle at HOST and PORT (127.0.0.1
 toolkit: $(VENV)/.toolkit  ## Add what training and export need (torch, onnx) to .venv
 
 # One thread of torch a worker: where each has as many as cores, most of their time is waiting. And
-# bytecode is kept: the servers that tests start by the dozen would compile every module anew. One
-# worker more than there are cores: the page's tests wait for a browser most of the time.
+# bytecode is kept: the servers that tests start by the dozen would compile every module anew. Two
+# workers more than there are cores: many tests wait for a browser or for servers.
 test: $(VENV)/.dev  ## Run every test, on every core
 	OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest \
-		--numprocesses $$(( $$(getconf _NPROCESSORS_ONLN) + 1 )) --dist worksteal
+		--numprocesses $$(( $$(getconf _NPROCESSORS_ONLN) + 2 )) --dist worksteal
 
 lint: $(VENV)/.dev  ## Check style, import walls and types
 	$(BIN)/ruff check
