@@ -58,7 +58,7 @@ class SpaceTime:
     """A lattice of places and times about a start, and the cheapest ways from there.
 
     origin: [2] m, place of the node (0, 0); size: m between nodes; step: s between layers
-    costs, links: [K + 1, X, Y], of the cheapest way from the start, and its last move
+    costs: [K + 1, X, Y], of the cheapest way from the start
     """
 
     origin: FloatArray
@@ -66,7 +66,6 @@ class SpaceTime:
     step: float
     ground: Ground
     costs: Costs
-    links: NDArray[np.int16]
 
     @staticmethod
     def of(
@@ -106,12 +105,11 @@ class SpaceTime:
             _paint(discs, origin, size, 0.5 * step, apart)
         ground = _ground(fields, places.astype(np.float32), apart, size, step, room)
         costs, at = np.full((layers + 1, *shape), NEVER), tuple((-first).astype(int))
-        links = np.full(costs.shape, -1, np.int16)
         ground.blocked[0][at], costs[0][at] = False, 0.0
         begin = np.concatenate([start, velocity], dtype=np.float64)
         barred = _beyond(places, begin, step, float(limits.a_max), len(costs), size)
-        _sweep(ground, barred, costs, links, True)
-        return SpaceTime(origin, size, step, ground, costs, links)
+        _sweep(ground, barred, costs, True)
+        return SpaceTime(origin, size, step, ground, costs)
 
     def node(self, place: FloatArray) -> tuple[int, int]:
         """Return the node nearest to a place [2] m."""
@@ -138,42 +136,27 @@ class SpaceTime:
         reached in time.
         """
         layers = len(self.costs) - 1
-        costs, links = np.full(self.costs.shape, NEVER), np.full(self.costs.shape, -1, np.int16)
+        costs = np.full(self.costs.shape, NEVER)
         barred = self.costs >= NEVER
         if barred[layers][end]:
             return np.empty((0, num_samples, 2), np.float32), np.zeros(2)
         costs[layers][end] = 0.0
-        _sweep(self.ground, barred, costs, links, False)
+        _sweep(self.ground, barred, costs, False)
         ways = {}
         for share in VIAS:
             layer = round(share * layers)
             total = self.costs[layer] + costs[layer]
             for node in _lowest(total):
-                way = self._traced(layer, node, links)
-                ways.setdefault(tuple(way), total[node])
-        nodes = np.array(sorted(ways, key=lambda way: ways[way]))
+                before = _traced(self.ground, self.costs, layer, *node, True)
+                after = _traced(self.ground, costs, layer, *node, False)
+                way = np.concatenate([before[::-1], after[1:]])
+                ways.setdefault(way.tobytes(), (total[node], way))
+        nodes = np.stack([way for _, way in sorted(ways.values(), key=lambda found: found[0])])
         places = self.origin + self.size * nodes
         at, steps = np.linspace(0.0, layers, num_samples), np.arange(layers + 1)
         drawn = [[np.interp(at, steps, axis) for axis in way.T] for way in places]
         last = (places[0, -1] - places[0, -3]) / (2.0 * self.step)
         return np.array(drawn, np.float32).transpose(0, 2, 1), last
-
-    def _traced(
-        self, layer: int, node: tuple[int, int], links: NDArray[np.int16]
-    ) -> list[tuple[int, int]]:
-        """Return the nodes of the cheapest way through a node of a layer; links: to the end."""
-        way, at = [node], node
-        for k in range(layer, 0, -1):
-            x, y = self.ground.moves[self.links[k][at]].tolist()
-            at = at[0] - x, at[1] - y
-            way.append(at)
-        way.reverse()
-        at = node
-        for k in range(layer, len(self.costs) - 1):
-            x, y = self.ground.moves[links[k][at]].tolist()
-            at = at[0] + x, at[1] + y
-            way.append(at)
-        return way
 
 
 def _passed_by(start: FloatArray, goal: FloatArray, longest: float) -> FloatArray:
@@ -262,78 +245,108 @@ def _beyond(
 
 
 @compiled
-def _sweep(
-    ground: Ground,
-    barred: BoolArray,
-    costs: Costs,
-    links: NDArray[np.int16],
-    forwards: bool,
-) -> None:
-    """Write the cheapest costs and moves [K + 1, X, Y] from those of the first or last layer.
+def _sweep(ground: Ground, barred: BoolArray, costs: Costs, forwards: bool) -> None:
+    """Write the cheapest costs [K + 1, X, Y] from those of the first or last layer.
 
-    A place that cannot be passed costs infinity, so that the innermost loop has no branches.
+    A layer has FAR nodes about it that nothing passes, and what cannot be passed costs infinity: so
+    a move is one loop over all nodes, without branches.
     """
     layers, width, height = costs.shape
-    sign = 1 if forwards else -1
-    dear = 1.0 + ground.surcharge.astype(np.float64)
-    walls, nothing = _forbidden(ground.still), np.zeros((width, height), np.float32)
-    passed, here, there = np.empty_like(nothing), np.empty_like(nothing), np.empty_like(nothing)
+    sign, wide = 1 if forwards else -1, height + 2 * FAR
+    padded = np.full((6, width + 2 * FAR, wide), np.inf, np.float32)
+    inner, flat = padded[:, FAR : FAR + width, FAR : FAR + height], padded.reshape((6, -1))
+    # Taken one by one: numba would not know that unpacked rows lie in one piece.
+    walls, halves, here = flat[0], flat[1], flat[2]
+    dear, best, nothing = flat[3], flat[4], flat[5]
+    nothing[:] = 0.0
+    inner[0] = _forbidden(ground.still)
+    inner[3] = 1.0 + ground.surcharge
     for count in range(layers - 1):
         k = count if forwards else layers - 1 - count
         to = k + sign
-        passed[:] = _forbidden(ground.blocked[2 * k + sign])
-        here[:], there[:] = costs[k], _forbidden(barred[to] | ground.blocked[2 * to])
+        inner[1] = _forbidden(ground.blocked[2 * k + sign])
+        inner[2] = costs[k] if forwards else costs[k] + ground.charge[k]
+        best[:] = NEVER
+        begin, end = _reached(here)
+        for m in range(len(ground.moves)):
+            a, b = sign * ground.moves[m, 0], sign * ground.moves[m, 1]
+            shift = a * wide + b
+            half, quarter = (a // 2) * wide + b // 2, round(0.25 * a) * wide + round(0.25 * b)
+            last_half, last_quarter = shift - half, shift - quarter
+            is_next = a * a + b * b <= 2  # nothing is between neighbours
+            passed, between = (nothing, nothing) if is_next else (halves, walls)
+            later = shift if forwards else 0
+            _lower(
+                best[begin + shift : end + shift],
+                ground.price[m],
+                dear[begin + later : end + later],
+                here[begin:end],
+                passed[begin + half : end + half],
+                passed[begin + last_half : end + last_half],
+                between[begin + quarter : end + quarter],
+                between[begin + last_quarter : end + last_quarter],
+            )
+        there = _forbidden(barred[to] | ground.blocked[2 * to])
         if forwards:
             there += ground.charge[to]
-        else:
-            here += ground.charge[k]
-        rows, columns = _reached(costs[k])
-        for move in range(len(ground.moves)):
-            # Of moves that cost the same, the one from the first node is kept.
-            m = len(ground.moves) - 1 - move if forwards else move
-            a, b = sign * ground.moves[m, 0], sign * ground.moves[m, 1]
-            begin, end = max(columns[0], -b), min(columns[1], height - b)
-            p, q = round(0.25 * a), round(0.25 * b)
-            c, d = a // 2, b // 2
-            is_next = a * a + b * b <= 2  # nothing is between neighbours
-            half, quarters = (nothing, nothing) if is_next else (passed, walls)
-            for i in range(max(rows[0], -a), min(rows[1], width - a)):
-                x = i + a
-                worth = dear[x, begin + b :] if forwards else dear[i, begin:]
-                terms = (
-                    here[i, begin:],
-                    there[x, begin + b :],
-                    half[i + c, begin + d :],
-                    half[x - c, begin + b - d :],
-                    quarters[i + p, begin + q :],
-                    quarters[x - p, begin + b - q :],
-                )
-                best, link = costs[to, x, begin + b :], links[to, x, begin + b :]
-                _lower(best, link, m, ground.price[m], worth, terms, end - begin)
+        costs[to] = np.minimum(inner[4] + there, NEVER)
 
 
 @compiled_part
 def _lower(
     best: Costs,
-    link: NDArray[np.int16],
-    move: int,
     price: np.float32,
-    worth: NDArray[np.float64],
-    terms: tuple[Costs, ...],
-    count: int,
+    dear: Costs,
+    here: Costs,
+    half: Costs,
+    last_half: Costs,
+    quarter: Costs,
+    last_quarter: Costs,
 ) -> None:
-    """Lower the costs [Y] of a row's first `count` nodes to those by a move, and write it there.
+    """Lower the costs of nodes to those by a move.
 
-    worth: factor on the move's price; terms: what is added to it, of which the last four are
-        infinite where something is in the way
+    dear: factor on its price; half, quarter and the last ones: infinite where something is in the
+        way
     """
-    here, there, half, other_half, quarter, last_quarter = terms
-    for n in range(count):
-        cost = here[n] + price * worth[n] + there[n]
-        cost += half[n] + other_half[n] + quarter[n] + last_quarter[n]
-        is_less = cost < best[n]
-        best[n] = cost if is_less else best[n]
-        link[n] = move if is_less else link[n]
+    for n in range(len(best)):
+        cost = here[n] + price * dear[n]
+        cost += half[n] + last_half[n] + quarter[n] + last_quarter[n]
+        best[n] = cost if cost < best[n] else best[n]
+
+
+@compiled
+def _traced(ground: Ground, costs: Costs, layer: int, x: int, y: int, forwards: bool) -> Nodes:
+    """Return the nodes [L, 2] of the cheapest way from one to the layer that a sweep began in."""
+    sign = -1 if forwards else 1
+    way = np.empty(((layer if forwards else len(costs) - 1 - layer) + 1, 2), np.int64)
+    way[0] = x, y
+    for n in range(1, len(way)):
+        k, least = layer + sign * n, np.inf
+        for m in range(len(ground.moves)):
+            a, b = sign * ground.moves[m, 0], sign * ground.moves[m, 1]
+            i, j = x + a, y + b
+            if not (0 <= i < costs.shape[1] and 0 <= j < costs.shape[2]):
+                continue
+            cost = costs[k, i, j]
+            if cost >= NEVER:
+                continue
+            if a * a + b * b > 2:
+                c, d, p, q = a // 2, b // 2, round(0.25 * a), round(0.25 * b)
+                passed = ground.blocked[2 * k - sign]
+                if passed[x + c, y + d] or passed[i - c, j - d]:
+                    continue
+                if ground.still[x + p, y + q] or ground.still[i - p, j - q]:
+                    continue
+            later = ground.surcharge[x, y]
+            if not forwards:
+                later = ground.surcharge[i, j]
+                cost += ground.charge[k, i, j]
+            cost += ground.price[m] * (1.0 + later)
+            if cost < least:
+                least = cost
+                way[n] = i, j
+        x, y = way[n]
+    return way
 
 
 @compiled_part
@@ -348,16 +361,13 @@ def _forbidden(places: BoolArray) -> Costs:
 
 
 @compiled_part
-def _reached(costs: Costs) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return the first row and column [X, Y] that have a cost, and those after the last."""
-    width, height = costs.shape
-    low, high, left, right = width, 0, height, 0
-    for i in range(width):
-        for j in range(height):
-            if costs[i, j] < NEVER:
-                low, high = min(low, i), max(high, i + 1)
-                left, right = min(left, j), max(right, j + 1)
-    return (low, high), (left, right)
+def _reached(costs: Costs) -> tuple[int, int]:
+    """Return the first of flat costs that there is, and the one after the last."""
+    begin, end = len(costs), 0
+    for n in range(len(costs)):
+        if costs[n] < NEVER:
+            begin, end = min(begin, n), n + 1
+    return min(begin, end), end
 
 
 @compiled
