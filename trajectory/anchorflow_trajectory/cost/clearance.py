@@ -18,7 +18,7 @@ from anchorflow_trajectory.compiled import compiled, compiled_part
 
 OCCUPIED = 0.5  # occupancy from which a cell is an obstacle
 FINE, ROUNDING = 0.15, 1e-6  # m, the largest cells that are not cut, and in parts of a cell
-FINE_AMONG = 0.075  # m, the same where something moves among walls and a way round is late
+FINE_AMONG = 0.1  # m, the same where something moves among walls and a way round is late
 MOST_CELLS = 512  # a side of a map whose cells were cut
 # Successive requests often share a map, with other starts and other robots.
 SHARED = MapCache(most_bytes=32 << 20)
